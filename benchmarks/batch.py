@@ -14,9 +14,9 @@ from pathlib import Path
 
 from benchmarks.store import Table, of_cells
 from getagrip.clip import write_clip
-from getagrip.datasets.synthetic.categories import SYNTHETIC_CATEGORIES
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
+from getagrip.synthetic.scene import synthesise
+from getagrip.synthetic.scene_options import SceneOptions
 
 CLIPS = 120
 SCENE = SceneOptions(frames=30, size=(854, 480))

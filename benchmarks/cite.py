@@ -30,11 +30,11 @@ from statistics import median
 
 from benchmarks import store
 from benchmarks.store import Cell, Column, Row
-from getagrip.experiments import published
-from getagrip.reproduction import arctic
-from getagrip.reproduction.arctic import ARCTIC_BASELINES
-from getagrip.reproduction.reproduce import OWN_METHODS
-from getagrip.reproduction.tables import published as paper_tables
+from getagrip.bench import tables as bench_tables
+from getagrip.cli.reproduce import arctic_grasps
+from getagrip.cli.reproduce.arctic_grasps import ARCTIC_BASELINES
+from getagrip.cli.reproduce.paper_tables import published as paper_tables
+from getagrip.cli.reproduce.reproduction import OWN_METHODS
 
 PLACE = re.compile(r"\{\{ (.+?) \}\}")
 WRITTEN = re.compile(r"<!-- \{\{ (.+?) \}\} -->(.*?)<!-- end -->", re.DOTALL)
@@ -81,7 +81,7 @@ MOTIONS = {
 }
 """Real motion, the tables of it, ours first, and the end of its rows' keys."""
 PAPERS = {group: (method, ARCTIC_BASELINES.get(f"{group}, ours", OWN_METHODS.get(f"{group}, ours", group.lower())))
-          for group, method in arctic.ARCTIC_PAPER_METHODS.items()}  # fmt: skip
+          for group, method in arctic_grasps.ARCTIC_PAPER_METHODS.items()}  # fmt: skip
 """The paper's methods by its energy, and ours that follow them, by the names of its tables."""
 DATASETS = {"ARCTIC's motion": "arctic", "DexYCB": "dexycb", "ten other objects": "dexycb-the-ten-others"}
 """Those that the probability is calibrated on, and their rows in its table."""
@@ -345,6 +345,6 @@ DIRECTIVES: dict[str, Callable[..., str]] = {
     "leaderboard": leaderboard,
     "beside_paper": beside_paper,
     "motions": motions,
-    "printed": lambda name: "\n".join(published.published_markdown(published.read_published_results(name), {})),
+    "printed": lambda name: "\n".join(bench_tables.published_markdown(bench_tables.read_published_results(name), {})),
     "made": made,
 }

@@ -25,14 +25,13 @@ from numpy import ndarray
 
 from benchmarks.store import ROOT, Table, of_cells
 from benchmarks.timing import timed
-from getagrip.annotate import labels
-from getagrip.annotate.boxes import segment_box_by_motion
-from getagrip.annotate.carried_masks import Hands, Images
-from getagrip.annotate.footage import Footage
-from getagrip.annotate.labels import OBJECT_LABEL, FrameLabels, Labels
-from getagrip.annotate.propagated_masks import propagate_labels
-from getagrip.annotate.strokes import keyframe_label_maps
-from getagrip.annotate.video import VideoFootage
+from getagrip.readers.footage import Footage, VideoFootage
+from getagrip.studio.masks.box_prompt import segment_box_by_motion
+from getagrip.studio.masks.propagate_clip import propagate_labels
+from getagrip.studio.masks.propagate_frame import Hands, Images
+from getagrip.studio.masks.stroke_prompt import keyframe_label_maps
+from getagrip.studio.store import labels
+from getagrip.studio.store.labels import OBJECT_LABEL, FrameLabels, Labels
 
 DATA = ROOT / "shared" / "data"
 POLYGONS = Path(__file__).with_name("polygons")
@@ -193,8 +192,8 @@ def _again(name: str) -> Labels:
 
 def _landmarks(name: str, path: Path) -> Rows:
     """Return the cells of a video's row: how often the left hand is found, and how far from clicked joints."""
-    from getagrip.annotate.finding_hands import find_landmarks
-    from getagrip.landmarks import load_models
+    from getagrip.studio.hands import load_models
+    from getagrip.studio.hands.detect_hands import find_landmarks
 
     nets, video = load_models(None), VideoFootage(path)
     images = [video.image(n) for n in range(video.frames)]  # decoding is not measured
@@ -285,9 +284,9 @@ def ious(one: LabelMaps, other: LabelMaps) -> list[float]:
 @cache
 def found_hand(path: Path) -> Hands:
     """Find the hand in a video as ``getagrip draft`` does, once for all tables; nothing is known without one."""
-    from getagrip.annotate.finding_hands import find_landmarks
     from getagrip.errors import GetagripError
-    from getagrip.landmarks import hand_mask, load_models
+    from getagrip.studio.hands import hand_mask, load_models
+    from getagrip.studio.hands.detect_hands import find_landmarks
 
     given, video = _labels(path.stem), VideoFootage(path)
     try:

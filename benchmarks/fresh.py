@@ -18,7 +18,7 @@ def peak_memory() -> float:
 def main(folder: str) -> dict[str, float]:
     """Import, read the clip, reconstruct it twice; seconds of processor time and megabytes along the way."""
     from getagrip.clip import read_clip, read_masks
-    from getagrip.timelines.reconstruct import reconstruct
+    from getagrip.reconstruct import reconstruct
 
     imported, memory_imported = time.process_time(), peak_memory()
     clip = read_clip(folder)

@@ -2,7 +2,7 @@
 
 ROWS is a file of ``benchmarks.kept_rows``, or several joined. Its training parts, with simulated and with real errors
 of hands, give ``checks/calibrated.json`` the probability for estimated hands, fitted with the synthetic part, and for
-each kind of their input the thresholds of ``checks.keeping``; those of measured hands are ``benchmarks.probability``'s.
+each kind of their input the thresholds of ``checks.calibration``; those of measured hands are ``benchmarks.probability``'s.
 The other parts are held against them: ``results/kept.json``; how many of validation are right:
 ``results/evidence-validation.json``. Nothing is reconstructed.
 """
@@ -25,14 +25,21 @@ from benchmarks.kept_rows import REAL, REAL_APART, SYNTHETIC, Row, read
 from benchmarks.probability import stored, write
 from benchmarks.reliability import auroc, auroc_interval, calibration_error, fit_weights, least_error
 from benchmarks.timing import circumstances
-from getagrip.checks.calibrated import CALIBRATION_FILE, CALIBRATIONS, CORRECTED_CALIBRATIONS, KEEP_THRESHOLDS
-from getagrip.checks.calibration import Calibration, Where
-from getagrip.checks.keeping import InputKind, KeepThresholds
-from getagrip.checks.signs import ESTIMATED_FEATURES
-from getagrip.experiments.comparison import CONFIDENCE_LEVEL
+from getagrip.bench.comparison import CONFIDENCE_LEVEL
+from getagrip.checks.calibration import (
+    CALIBRATION_FILE,
+    CALIBRATIONS,
+    CORRECTED_CALIBRATIONS,
+    KEEP_THRESHOLDS,
+    Calibration,
+    InputKind,
+    KeepThresholds,
+    Where,
+)
+from getagrip.checks.features import ESTIMATED_FEATURES
 from getagrip.fitting.options import Options
-from getagrip.io.code import date_and_commit
-from getagrip.probability import Probability
+from getagrip.io.plugins import date_and_commit
+from getagrip.result.findings import Probability
 
 METHOD = Options().method
 Kept = Mapping[tuple[InputKind, Where], KeepThresholds]

@@ -21,26 +21,26 @@ import numpy as np
 from numpy import ndarray
 
 from getagrip.batch.executor import available_cores, run_in_processes
-from getagrip.batch.share import SchedulingOptions
-from getagrip.checks.keeping import kind_of_input
-from getagrip.checks.signs import was_corrected
+from getagrip.batch.scheduling import SchedulingOptions
+from getagrip.bench.inputs.perturbations import UNCHANGED, Change, EstimatedHands, Several
+from getagrip.bench.inputs.simulated_evidence import SimulatedDepth, SimulatedJoints
+from getagrip.bench.sources import sample_clips
+from getagrip.bench.sources.recorded import DexYcb
+from getagrip.checks.calibration import kind_of_input
+from getagrip.checks.features import was_corrected
 from getagrip.clip import Clip, read_clip, read_masks, write_clip
-from getagrip.datasets.synthetic.categories import SYNTHETIC_CATEGORIES
-from getagrip.datasets.synthetic.noise import NOISE_PRESETS
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.datasets.tracks import subject_from_clip_name
-from getagrip.evaluation import evaluate
-from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM, Metric
-from getagrip.experiments.changes import UNCHANGED, Change, EstimatedHands, Several
-from getagrip.experiments.simulated_evidence import SimulatedDepth, SimulatedJoints
-from getagrip.experiments.sources import sample_clips
-from getagrip.experiments.sources.recorded import DexYcb
 from getagrip.fitting.options import Options
-from getagrip.io.code import date_and_commit
+from getagrip.io.plugins import date_and_commit
+from getagrip.metrics.evaluate import evaluate
+from getagrip.metrics.evaluate.metric import ADD_SYM, ADD_SYM_CAM, Metric
 from getagrip.provenance import kind_of_hands
+from getagrip.readers.datasets.tracks import subject_from_clip_name
+from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
+from getagrip.synthetic.noise import NOISE_PRESETS
+from getagrip.synthetic.scene import synthesise
+from getagrip.synthetic.scene_options import SceneOptions
 
 ROWS, END = "rows.jsonl", "\t"
 """The file, and what ends a row in it that was not cut off; no JSON has it."""

@@ -17,20 +17,20 @@ from scipy.spatial import cKDTree
 
 from benchmarks import store
 from benchmarks.timing import circumstances
+from getagrip.cli.reproduce.epic_grasps import VISOR_FOCAL_PX
+from getagrip.cli.reproduce.paper_tables import published
 from getagrip.clip import Clip, with_masks
-from getagrip.datasets.synthetic.noise import NOISE_PRESETS
-from getagrip.datasets.synthetic.scene import make_scene, synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.datasets.synthetic.splits import SPLIT_SEEDS, clips_of_split
-from getagrip.fitting.energy.paper_push import TangentPlanes
+from getagrip.fitting.energy.paper_contact import TangentPlanes
 from getagrip.fitting.methods import paper
 from getagrip.fitting.objective import mask_energy, sum_energies
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem, prepare_problem
-from getagrip.fitting.solve import poses_in_camera
+from getagrip.fitting.solver.solve import poses_in_camera
 from getagrip.geometry import se3
-from getagrip.reproduction.epic import VISOR_FOCAL_PX
-from getagrip.reproduction.tables import published
+from getagrip.synthetic.categories import SPLIT_SEEDS, clips_of_split
+from getagrip.synthetic.noise import NOISE_PRESETS
+from getagrip.synthetic.scene import make_scene, synthesise
+from getagrip.synthetic.scene_options import SceneOptions
 
 STARTS = 6
 """About as many as the authors' files hold for a category and side."""

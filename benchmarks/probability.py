@@ -5,7 +5,7 @@ DEXYCB, OTHER and YCB are the folders of the dataset, of its sequences of the te
 ARCTIC a folder of clips of ARCTIC's motion (docs/datasets.md). Signs of results go into OUT/rows.jsonl
 (``signed_results``); rows that are there are kept, so that an interrupted run goes on where it stopped. After a change
 of the method another OUT is to be named. All results are fitted (``checks/calibrated.json``), once to what is right in
-the hand and once to what is right in the camera. How good that is, and the thresholds of ``checks.keeping`` for
+the hand and once to what is right in the camera. How good that is, and the thresholds of ``checks.calibration`` for
 measured hands, come from probabilities by objects left out: each result's is of a fit without any result of its object.
 ``results/probability-*.json`` and docs/images/reliability.png have it.
 """
@@ -31,14 +31,23 @@ from benchmarks.signed_results import ALWAYS, KEY, OTHER, cases, row
 from benchmarks.store import Table
 from benchmarks.timing import circumstances
 from getagrip.batch.executor import available_cores
-from getagrip.checks.calibrated import CALIBRATION_FILE, ESTIMATED_CALIBRATIONS, KEEP_THRESHOLDS
-from getagrip.checks.calibration import Calibration, Where
-from getagrip.checks.keeping import KEEP_SHARES, InputKind, KeepThresholds, candidate_set_thresholds, keep_threshold
-from getagrip.checks.signs import CORRECTED_FEATURES, ESTIMATED_FEATURES, FEATURES, Feature
-from getagrip.experiments.comparison import bootstrap_resamples
+from getagrip.bench.comparison import bootstrap_resamples
+from getagrip.checks.calibration import (
+    CALIBRATION_FILE,
+    ESTIMATED_CALIBRATIONS,
+    KEEP_SHARES,
+    KEEP_THRESHOLDS,
+    Calibration,
+    InputKind,
+    KeepThresholds,
+    Where,
+    candidate_set_thresholds,
+    keep_threshold,
+)
+from getagrip.checks.features import CORRECTED_FEATURES, ESTIMATED_FEATURES, FEATURES, Feature
 from getagrip.fitting.options import Options
-from getagrip.io.code import date_and_commit
-from getagrip.probability import CANDIDATE_SET_COVERAGE
+from getagrip.io.plugins import date_and_commit
+from getagrip.result.findings import CANDIDATE_SET_COVERAGE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

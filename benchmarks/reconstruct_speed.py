@@ -19,13 +19,13 @@ import numpy as np
 from benchmarks.store import Table, of_cells
 from benchmarks.timing import timed, typical
 from getagrip.clip import Clip, Masks, write_clip
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.evaluation import evaluate
-from getagrip.evaluation.metric import ADD_SYM_MM
 from getagrip.fitting.options import Options
 from getagrip.geometry.mesh import Mesh
+from getagrip.metrics.evaluate import evaluate
+from getagrip.metrics.evaluate.metric import ADD_SYM_MM
+from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.synthetic.scene import synthesise
 
 CLIPS = (("mug", 0), ("pan", 0), ("kettle", 0), ("scissors", 0))
 """Category and seed: a hollow object with a handle, a large one, one of several parts, a thin one."""

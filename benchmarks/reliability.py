@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from getagrip.bench.comparison import CONFIDENCE_LEVEL
 from getagrip.checks.calibration import FeatureWeight, sigmoid
-from getagrip.experiments.comparison import CONFIDENCE_LEVEL
 
 BINS = 10
 """Of the same width."""

@@ -24,8 +24,8 @@ from benchmarks.release import BENCHES
 from benchmarks.store import Cell, Column, Table
 from benchmarks.timing import machine
 from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS
-from getagrip.evaluation.metric import METRICS
-from getagrip.io.code import date_and_commit
+from getagrip.io.plugins import date_and_commit
+from getagrip.metrics.evaluate.metric import METRICS
 
 README = store.ROOT / "README.md"
 PICTURES = store.ROOT / "docs/images"

@@ -10,12 +10,11 @@ import numpy as np
 from benchmarks.reconstruct_speed import reconstruction
 from benchmarks.store import Table, of_cells, slug
 from benchmarks.timing import timed, typical
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.options import Options
-from getagrip.geometry.mesh import Mesh, decimate
-from getagrip.geometry.subdivide import edge_length, subdivide_surface
+from getagrip.geometry.mesh import Mesh, decimate, edge_length, subdivide_surface
 from getagrip.result import Reconstruction
+from getagrip.synthetic.scene import synthesise
+from getagrip.synthetic.scene_options import SceneOptions
 
 CATEGORY = "kettle"
 FRAMES = (10, 20, 30, 50, 100, 200, 300)

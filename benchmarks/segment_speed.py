@@ -11,12 +11,12 @@ from numpy import ndarray
 from benchmarks.store import Table, of_cells
 from benchmarks.timing import timed
 from getagrip.clip import FINGERS, Clip, HandTrack, Truth
-from getagrip.datasets.synthetic import shapes
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import decimate
-from getagrip.grasps.definition import GRASP_RULES
-from getagrip.grasps.stable import PairwiseIou, contact_sets, stable_grasps
 from getagrip.hands import generic
+from getagrip.stable_grasps.definition import GRASP_RULES
+from getagrip.stable_grasps.find import PairwiseIou, contact_sets, stable_grasps
+from getagrip.synthetic import objects
 
 FRAMES = 2000
 """Of the sequence whose contacts are timed."""
@@ -58,7 +58,7 @@ def sequence(frames: int) -> Clip:
     pose = np.zeros((frames, 5, 3, 3))
     pose[:, :4, :, 2] = (0.5 + 0.1 * np.sin(np.linspace(0.0, 40.0, frames)))[:, None, None]
     posed = generic.load("right").with_shape().with_pose(pose.reshape(frames, 45) + 0.03 * walk(rng, frames, 45))
-    mug = decimate(shapes.mug(), 2 * OBJECT)
+    mug = decimate(objects.mug(), 2 * OBJECT)
     place = np.array([0.01, -0.045, 0.005]) + 0.01 * walk(rng, frames, 3)
     T_hand_obj = se3.rigid(se3.exp_so3(0.3 * walk(rng, frames, 3)), place)
     T_cam_hand = np.tile(se3.rigid(t=np.array([0.0, 0.0, 0.5])), (frames, 1, 1))

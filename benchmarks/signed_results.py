@@ -17,13 +17,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.kept_rows import Row, described
-from getagrip.batch.share import SchedulingOptions
+from getagrip.batch.scheduling import SchedulingOptions
+from getagrip.bench.inputs.perturbations import UNCHANGED, Noisy, OtherObject, OtherSize, ScaleFree, Several
+from getagrip.bench.sources.recorded import DexYcb
 from getagrip.clip import Clip, Masks, read_clip, read_masks
-from getagrip.datasets.synthetic.noise import NOISE_PRESETS, Noise
-from getagrip.experiments.changes import UNCHANGED, Noisy, OtherObject, OtherSize, ScaleFree, Several
-from getagrip.experiments.sources.recorded import DexYcb
 from getagrip.fitting.options import Options
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.reconstruct import reconstruct
+from getagrip.synthetic.noise import NOISE_PRESETS, Noise
 
 DEXYCB, OTHER, ARCTIC = "DexYCB", "DexYCB, the ten others", "ARCTIC"
 """Names of the datasets."""

@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from benchmarks import store
 from benchmarks.release import BENCHES
 from benchmarks.store import Column, Row, Table
-from getagrip.io.code import date_and_commit
+from getagrip.io.plugins import date_and_commit
 
 NAME, FOLDER = "test-runs", store.RESULTS
 OBJECTS = "OTHER"

@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import median
 from typing import TypeVar
 
-from getagrip.io.code import date_and_commit
+from getagrip.io.plugins import date_and_commit
 
 LIBRARIES = ("numpy", "numba", "scipy")
 

@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 import getagrip
-from getagrip.datasets.dataset import clips
-from getagrip.datasets.dexycb.reader import DexYcb
+from getagrip.readers.datasets.dataset import clips
+from getagrip.readers.datasets.dexycb.dexycb_clips import DexYcb
 
 if len(sys.argv) < 2 or not Path(sys.argv[1]).is_dir():
     print("skipped: name the folder of DexYCB, or one of clips. DexYCB is at https://dex-ycb.github.io")

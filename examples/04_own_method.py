@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods import METHODS, Method, OnStage
 from getagrip.fitting.objective import energy_of
 from getagrip.fitting.problem import MethodResult, Problem
-from getagrip.fitting.solve import minimise
+from getagrip.fitting.solver.initial_poses import initial_poses
+from getagrip.fitting.solver.solve import minimise
 
 
 def coarse_static(problem: Problem, on_stage: OnStage) -> MethodResult:

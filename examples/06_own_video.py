@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 
 import getagrip
-from getagrip.io.images import write_image
-from getagrip.io.videos import write_video
+from getagrip.io.images import write_image, write_video
 
 source = Path(sys.argv[1] if len(sys.argv) > 1 else "out/demo/clips/mug-right-0002")
 out = Path(sys.argv[2] if len(sys.argv) > 2 else "rehearsal")

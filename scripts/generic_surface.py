@@ -12,8 +12,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.geometry.mesh import Mesh
-from getagrip.hands.generic import GENERIC_HAND_FILE
-from getagrip.hands.generic_skeleton import MANO_WRIST_M, metacarpal_base, rest_fingers
+from getagrip.hands.generic import GENERIC_HAND_FILE, MANO_WRIST_M, metacarpal_base, rest_fingers
 
 GRID = 0.0016
 """Cell size of the first triangulation [m]."""

@@ -23,8 +23,8 @@ COLUMNS = "92"
 
 def commands() -> Iterator[str]:
     """Every command that has a help of its own, as it is typed behind ``getagrip``."""
-    from getagrip.commands.datasets import subcommands
-    from getagrip.commands.figure import Figures
+    from getagrip.cli.datasets import subcommands
+    from getagrip.cli.figure import Figures
 
     return _names(cli.command_union(subcommands(), Figures), "")
 

@@ -15,13 +15,13 @@ from pathlib import Path
 import pytest
 
 from getagrip import compiling
-from getagrip.io import locks, user_folders
+from getagrip.io import files, terminal
 from helpers.paths import ROOT
 
 CODE = """
 from getagrip import compiling
 compiling.compile_modules(["kernels.closest"])
-from getagrip.kernels.closest import _spread
+from getagrip.geometry.kernels.closest import _spread
 print(sum(_spread.stats.cache_hits.values()), _spread.stats.cache_path)
 """
 
@@ -40,7 +40,7 @@ def compiles(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], None]], 
     return lambda instead: monkeypatch.setattr(compiling, "_compile_in_parallel", instead)
 
 
-@pytest.mark.skipif(not locks.HAS_FILE_LOCKS, reason="no locks here")
+@pytest.mark.skipif(not files.HAS_FILE_LOCKS, reason="no locks here")
 def test_of_several_at_once_one_compiles_and_the_others_wait(marked: Path, compiles: Callable[..., None]) -> None:
     ended: list[float] = []
 
@@ -139,7 +139,7 @@ def test_a_kernel_is_compiled_once_and_again_where_its_file_is_damaged(tmp_path:
 def test_kernels_are_not_read_where_others_can_write(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], mode: int
 ) -> None:
-    monkeypatch.setattr(user_folders, "_is_private", lambda group, owner: False)
+    monkeypatch.setattr(terminal, "_is_private", lambda group, owner: False)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
     folder = compiling.kernel_cache_folder.__wrapped__
     mine = folder()
@@ -161,11 +161,11 @@ def test_a_folder_in_a_sticky_one_is_ours_and_a_link_of_others_is_not(
     (tmp_path / "a" / "b").mkdir(parents=True)
     (tmp_path / "link").symlink_to("a")
     (tmp_path / "a").chmod(0o1777)
-    assert user_folders.is_private_folder(tmp_path / "link" / "b")
-    assert user_folders.is_private_folder(tmp_path / "link" / "b" / "new")
-    assert not user_folders.is_private_folder(tmp_path / "a")
+    assert terminal.is_private_folder(tmp_path / "link" / "b")
+    assert terminal.is_private_folder(tmp_path / "link" / "b" / "new")
+    assert not terminal.is_private_folder(tmp_path / "a")
     (tmp_path / "a").chmod(0o777)
-    assert not user_folders.is_private_folder(tmp_path / "link" / "b")
+    assert not terminal.is_private_folder(tmp_path / "link" / "b")
     (tmp_path / "a").chmod(0o755)
     here = os.lstat
     owned = {tmp_path / "link": 65534}
@@ -175,8 +175,8 @@ def test_a_folder_in_a_sticky_one_is_ours_and_a_link_of_others_is_not(
         return os.stat_result((*about[:4], owned.get(Path(path), about.st_uid), *about[5:]))
 
     monkeypatch.setattr(Path, "lstat", lstat)
-    assert not user_folders.is_private_folder(tmp_path / "link" / "b")
-    assert user_folders.is_private_folder(tmp_path / "a" / "b")
+    assert not terminal.is_private_folder(tmp_path / "link" / "b")
+    assert terminal.is_private_folder(tmp_path / "a" / "b")
 
 
 def test_numba_takes_no_options_from_a_folder_that_was_sent(tmp_path: Path) -> None:
@@ -195,7 +195,7 @@ def test_a_reconstruction_compiles_nothing_for_types_that_no_kernel_declares() -
     script = """
 import getagrip
 from getagrip import compiling
-from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.synthetic.scene_options import SceneOptions
 
 getagrip.reconstruct(*getagrip.synthesise("can", seed=0, options=SceneOptions(frames=6)))
 called = 0

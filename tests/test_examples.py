@@ -17,10 +17,10 @@ import pytest
 
 import getagrip
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.result import Reconstruction
+from getagrip.synthetic.scene_options import SceneOptions
 from helpers.pages import python
 from helpers.paths import DATA, ROOT, needs
 
@@ -35,7 +35,7 @@ SMALL = {"frames": 8, "size": (320, 240), "focal": 300.0}
 ON_SMALL_CLIPS = """
 import runpy
 from dataclasses import replace
-from getagrip.datasets.synthetic.splits import SYNTHETIC_PRESETS
+from getagrip.synthetic.categories import SYNTHETIC_PRESETS
 SYNTHETIC_PRESETS["clean"] = replace(SYNTHETIC_PRESETS["clean"], **{small})
 runpy.run_path({script!r}, run_name=__name__)
 """

@@ -17,7 +17,7 @@ import pytest
 
 import getagrip
 from getagrip.errors import UsageError
-from getagrip.io.brief import MAX_BRIEF_LINES
+from getagrip.io.array_data import MAX_BRIEF_LINES
 from getagrip.io.terminal import progress_callback
 from helpers.clips import small_clip
 from helpers.paths import ROOT

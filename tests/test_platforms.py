@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.batch.limits import Limits
+from getagrip.batch.job import Limits
 from getagrip.errors import UsageError
-from getagrip.io import files, user_folders
+from getagrip.io import files, terminal
 
 WITHOUT_POSIX = """
 import importlib, os, pkgutil, sys, tempfile
@@ -27,12 +27,12 @@ for module in pkgutil.walk_packages(getagrip.__path__, "getagrip."):
         importlib.import_module(module.name)
 from pathlib import Path
 from getagrip.batch.executor import available_cores
-from getagrip.commands.doctor import _check_machine
-from getagrip.io import locks
+from getagrip.cli.doctor import _check_machine
+from getagrip.io import files
 assert available_cores() >= 1
-with locks.hold_lock(Path(tempfile.gettempdir())):
+with files.hold_lock(Path(tempfile.gettempdir())):
     pass
-print(locks.HAS_FILE_LOCKS, *(words for state, words in _check_machine() if state == "without"), sep="; ")
+print(files.HAS_FILE_LOCKS, *(words for state, words in _check_machine() if state == "without"), sep="; ")
 """
 
 
@@ -62,9 +62,9 @@ def test_a_user_without_a_home_is_asked_for_one(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(Path, "home", home)
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     with pytest.raises(UsageError, match="missing HOME or XDG_CACHE_HOME"):
-        user_folders.cache_folder()
+        terminal.cache_folder()
     monkeypatch.setenv("XDG_CACHE_HOME", "kept")
-    assert user_folders.cache_folder() == Path("kept/getagrip")
+    assert terminal.cache_folder() == Path("kept/getagrip")
 
 
 @pytest.mark.parametrize("platform", ["darwin", "win32"])

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.datasets.synthetic.scene import make_scene
-from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.bench.figures.contact_matrix import write_matrix
 from getagrip.geometry import se3
-from getagrip.grasps.definition import Definition
-from getagrip.grasps.stable import segment
-from getagrip.pictures.matrix import write_matrix
+from getagrip.stable_grasps.definition import Definition
+from getagrip.stable_grasps.find import segment
+from getagrip.synthetic.scene import make_scene
+from getagrip.synthetic.scene_options import SceneOptions
 
 OUT = Path(__file__).resolve().parents[1] / "images" / "contact_iou.png"
 FRAMES = 300

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 import getagrip
-from getagrip.datasets.synthetic.splits import clips_of_split
-from getagrip.pictures.shown import View
-from getagrip.pictures.stills import draw_overlay, smooth_windows
+from getagrip.report.pictures.result_view import View
+from getagrip.report.pictures.stills import draw_overlay, smooth_windows
+from getagrip.synthetic.categories import clips_of_split
 
 SIDE, FRAMES = 260, (3, 10, 17, 25)
 CATEGORY, WHICH = "mug", 2

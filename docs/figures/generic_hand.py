@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from getagrip.geometry import se3
-from getagrip.geometry.render import render_rgb
+from getagrip.geometry.rasterize import render_rgb
 from getagrip.hands import generic
 from getagrip.hands.model import MANO_JOINTS, PosedHand
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from getagrip.hands import generic
-from getagrip.hands.fit import fit_joints
+from getagrip.hands.fit_joints import fit_joints
 
 
 def main(path: str) -> None:

@@ -17,8 +17,8 @@ from PIL import Image
 from getagrip.clip import Clip, read_clip, read_masks
 from getagrip.geometry import se3
 from getagrip.geometry.camera import crops_around
-from getagrip.geometry.render import render_rgb
-from getagrip.pictures.shown import View
+from getagrip.geometry.rasterize import render_rgb
+from getagrip.report.pictures.result_view import View
 from getagrip.result import read_result
 
 IMAGES = Path(__file__).parent.parent / "images"

@@ -8,9 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from getagrip.datasets.synthetic.categories import SYNTHETIC_CATEGORIES
-from getagrip.datasets.synthetic.scene import make_scene, render_pictures
-from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
+from getagrip.synthetic.scene import make_scene, render_pictures
+from getagrip.synthetic.scene_options import SceneOptions
 
 OUT = Path(__file__).resolve().parents[1] / "images" / "synthetic-clips.png"
 OPTIONS = SceneOptions(frames=10, size=(240, 200), focal=280.0)

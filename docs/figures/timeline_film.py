@@ -20,17 +20,17 @@ from numpy import ndarray
 from PIL import Image
 
 from getagrip.clip import Clip, FrameMasks, HandTrack, Masks, Segment, Truth, World, read_clip, read_masks, write_clip
-from getagrip.datasets.synthetic.noise import NOISE_PRESETS, perturbed
-from getagrip.datasets.synthetic.scene import make_scene
-from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.film import write_film
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
-from getagrip.geometry.render import render_rgb, true_masks
+from getagrip.geometry.rasterize import render_rgb, true_masks
 from getagrip.hands import generic
-from getagrip.pictures.shown import View
+from getagrip.reconstruct import reconstruct
+from getagrip.report.film import write_film
+from getagrip.report.pictures.result_view import View
 from getagrip.result import write_result
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.synthetic.noise import NOISE_PRESETS, perturbed
+from getagrip.synthetic.scene import make_scene
+from getagrip.synthetic.scene_options import SceneOptions
 
 PICTURE = Path(__file__).resolve().parents[1] / "images" / "timeline.webp"
 WIDTH, QUALITY = 720, 60

@@ -33,15 +33,15 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import read_clip
-from getagrip.datasets.arctic import ARCTIC_FPS, METRES_PER_MM, Template, make_neutral_template
-from getagrip.datasets.joint_tracks import camera_facing_object
 from getagrip.errors import InputError
 from getagrip.geometry import se3
+from getagrip.geometry.mesh import subdivide_parts
 from getagrip.geometry.mesh_files import read_mesh
-from getagrip.geometry.subdivide import subdivide_parts
-from getagrip.grasps.lists import CLIP_NAME_SEPARATOR
 from getagrip.io import arrays
 from getagrip.io.files import read_bytes
+from getagrip.readers.datasets.arctic import ARCTIC_FPS, METRES_PER_MM, Template, make_neutral_template
+from getagrip.readers.datasets.track_files import camera_facing_object
+from getagrip.stable_grasps.grasp_lists import CLIP_NAME_SEPARATOR
 
 SUBJECT = re.compile(r"s\d+")
 """Folders of true motion."""

@@ -25,13 +25,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.datasets import joint_tracks
-from getagrip.datasets.mano_tracks import check_mano_numbers
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands import generic, mano
 from getagrip.hands.model import ORDER_21, PARENTS
 from getagrip.io import pickles
+from getagrip.readers.datasets import track_files
+from getagrip.readers.datasets.mano_tracks import check_mano_numbers
 
 FPS = 30.0
 VERTICES = 778
@@ -59,7 +59,7 @@ def main(source_data: Path, out: Path) -> None:
 
 def convert(file: Path, out: Path) -> None:
     """A sequence, as a file of tracks and the object's mesh."""
-    K, size = joint_tracks.assumed_pinhole()
+    K, size = track_files.assumed_pinhole()
     T_cam_hand, vertices, pose, given = read(file)
     found = flat_hand(vertices, generic.load("left").joints[0], pose)
     if found is None:

@@ -16,7 +16,7 @@ def contact_regions(template, joints, faces, weights):
 
     template (778, 3), joints (16, 3), faces (F, 3), skinning weights (778, 16). Pads are the vertices of the last
     phalanges that face as the finger does. Of the palm: the ball of the thumb, the cushions below the fingers' roots,
-    the edge below the little finger. The rules are those of getagrip.hands.regions.
+    the edge below the little finger. The rules are those of getagrip.hands.model.
     """
     a, b, c = np.moveaxis(template[faces], 1, 0)
     normals = np.zeros_like(template)

@@ -12,10 +12,10 @@ The public names and their modules are listed in ``__init__.pyi``. Each is loade
 ``import getagrip`` takes no time.
 """
 
-from getagrip.io import interrupts
+from getagrip.io import processes
 
-if interrupts.is_program():  # before anything else takes time
-    interrupts.exit_on_interrupt()
+if processes.is_program():  # before anything else takes time
+    processes.exit_on_interrupt()
 
 import lazy_loader
 

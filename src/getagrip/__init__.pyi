@@ -8,21 +8,19 @@ from .clip import World as World
 from .clip import read_clip as read_clip
 from .clip import read_masks as read_masks
 from .clip import write_clip as write_clip
-from .datasets.synthetic.scene import synthesise as synthesise
-from .datasets.synthetic.scene_options import SceneOptions as SceneOptions
 from .errors import GetagripError as GetagripError
 from .errors import InputError as InputError
 from .errors import UsageError as UsageError
-from .evaluation import Evaluation as Evaluation
-from .evaluation import evaluate as evaluate
-from .finding import Finding as Finding
 from .fitting.options import Options as Options
 from .geometry.mesh import Mesh as Mesh
 from .geometry.mesh_files import read_mesh as read_mesh
 from .geometry.mesh_files import write_mesh as write_mesh
 from .geometry.warp import Warp as Warp
-from .pictures.report import write_report as write_report
+from .metrics.evaluate import Evaluation as Evaluation
+from .metrics.evaluate import evaluate as evaluate
 from .provenance import Source as Source
+from .reconstruct import reconstruct as reconstruct
+from .report.pictures.result_picture import write_report as write_report
 from .result import Axis as Axis
 from .result import Candidates as Candidates
 from .result import Reconstruction as Reconstruction
@@ -30,6 +28,8 @@ from .result import SegmentResult as SegmentResult
 from .result import Status as Status
 from .result import read_result as read_result
 from .result import write_result as write_result
-from .timelines.reconstruct import reconstruct as reconstruct
+from .result.findings import Finding as Finding
+from .synthetic.scene import synthesise as synthesise
+from .synthetic.scene_options import SceneOptions as SceneOptions
 
 __version__: str

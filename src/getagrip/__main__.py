@@ -2,23 +2,23 @@
 
 import sys
 
-from getagrip.io import interrupts
+from getagrip.io import processes
 
 
 def main() -> int:
     """Run the command line. Returns the exit status, also of an interrupt."""
-    interrupts.exit_on_interrupt()
+    processes.exit_on_interrupt()
     try:
         from getagrip import cli
 
         status = cli.main()
     except BaseException as error:
-        if not isinstance(error, KeyboardInterrupt) and not interrupts.interrupt_count():
+        if not isinstance(error, KeyboardInterrupt) and not processes.interrupt_count():
             raise
         print("interrupted", file=sys.stderr)
-        status = interrupts.INTERRUPT_EXIT_STATUS
-    if status == interrupts.INTERRUPT_EXIT_STATUS and interrupts.is_program():
-        interrupts.restore_default_interrupt()
+        status = processes.INTERRUPT_EXIT_STATUS
+    if status == processes.INTERRUPT_EXIT_STATUS and processes.is_program():
+        processes.restore_default_interrupt()
     return status
 
 

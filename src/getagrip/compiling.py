@@ -26,8 +26,8 @@ import numba
 from numba import config, njit, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
-from getagrip.io import files, locks, own_python, plugins
-from getagrip.io.user_folders import cache_folder, is_private_folder
+from getagrip.io import files, plugins, processes
+from getagrip.io.terminal import cache_folder, is_private_folder
 
 if TYPE_CHECKING:
     from numba.core.dispatcher import Dispatcher
@@ -42,16 +42,13 @@ Kernels that others call become parts of these. Else each caller has a copy, opt
 in a process the first to be loaded counts, and that is another one where kernels come from the cache: other last bits.
 """
 KERNEL_GROUPS = (
-    ("fitting.energy.mask", "kernels.hand", "kernels.silhouette", "kernels.contour"),
-    (
-        "kernels.closest", "fitting.contact", "fitting.energy.push", "fitting.energy.pull", "geometry.depth",
-        "fitting.observation", "fitting.mask_gaps", "hands.bending",
-    ),
-)  # fmt: skip
+    ("geometry.kernels.silhouette", "fitting.energy.mask"),
+    ("geometry.kernels.closest", "fitting.energy.contact", "geometry.rasterize", "hands.generic"),
+)
 """Modules whose kernels are compiled by one process: those that share parts, and as many as take equally long."""
 RARELY_USED_KERNEL_MODULES = (
-    "fitting.energy.mask_by_shape", "fitting.energy.paper_push", "fitting.energy.paper_pull", "fitting.energy.depth",
-    "kernels.depth", "fitting.energy.order", "fitting.energy.contact_consistency", "kernels.cut",
+    "fitting.energy.mesh_mask", "fitting.energy.paper_contact", "fitting.energy.depth_term", "geometry.kernels.depth",
+    "fitting.energy.occlusion_order", "fitting.energy.contact_consistency", "studio.masks.graph_cut",
 )  # fmt: skip
 """Modules of kernels that few reconstructions need; each is compiled when it is."""
 TYPE_BY_LETTER = {
@@ -65,7 +62,7 @@ COMPILATION_MESSAGE = "kernels are compiled, once for this version: about 15 sec
 
 _declared_kernels: list[tuple[Dispatcher, str]] = []
 
-if not own_python.imports_from_cwd():  # numba takes options, as where it reads compiled code, from the current folder
+if not processes.imports_from_cwd():  # numba takes options, as where it reads compiled code, from the current folder
     config._config_fname = ""
     config.reload_config()
 
@@ -102,7 +99,7 @@ def compile_once(tell: Callable[[], object] = lambda: None) -> None:
             return
         mark.parent.mkdir(parents=True, exist_ok=True)
         mark.touch()
-        with locks.hold_lock(mark):
+        with files.hold_lock(mark):
             if not _is_mark_set(mark):
                 tell()
                 _compile_in_parallel()
@@ -189,7 +186,7 @@ def _compile_in_parallel() -> None:
     with ThreadPoolExecutor(n - 1) as threads:
         ends = [
             threads.submit(
-                subprocess.run, own_python.python_command("-c", command, *names), env=os.environ | {"PYTHONPATH": paths},
+                subprocess.run, processes.python_command("-c", command, *names), env=os.environ | {"PYTHONPATH": paths},
                 stdin=subprocess.DEVNULL, capture_output=True, check=True,
             )
             for names in shares

@@ -8,10 +8,10 @@ import pytest
 
 from getagrip.batch.clips import _Tally, expected_right_message
 from getagrip.batch.job import Outcome
-from getagrip.batch.keep import KeepOptions
+from getagrip.batch.summary import KeepOptions
 from getagrip.clip import input_sha256, write_clip
-from getagrip.probability import ASSUMED_MESH, Probability
 from getagrip.result import read_result, write_result
+from getagrip.result.findings import ASSUMED_MESH, Probability
 from helpers.command_line import Run
 from helpers.egg_and_mug import egg_and_mug, perfect
 from helpers.folders import results_in

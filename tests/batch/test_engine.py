@@ -13,9 +13,8 @@ from threading import Barrier
 
 import pytest
 
-from getagrip.batch import drivers
-from getagrip.batch.entries import LedgerEntry
-from getagrip.batch.ledger import Ledger
+from getagrip.batch import ledger as ledger_module
+from getagrip.batch.ledger import Ledger, LedgerEntry
 from helpers.jobs import drive
 from helpers.paths import import_path
 
@@ -83,7 +82,7 @@ def test_a_killed_driver_is_continued_at_once_and_only_what_was_at_work_is_done_
     before = {path.name for path in tmp_path.glob("task-??")}
     since = time.monotonic()
     states = dict(line.split() for line in drive(tmp_path, COUNT, 0.0, 1))
-    assert time.monotonic() - since < drivers.HEARTBEAT_TIMEOUT_S / 2  # its claims do not wait for heartbeats
+    assert time.monotonic() - since < ledger_module.HEARTBEAT_TIMEOUT_S / 2  # its claims do not wait for heartbeats
     assert {name for name, state in states.items() if state == "kept"} >= before
     again = {name for name, count in runs(tmp_path).items() if count > 1}
     assert len(again) <= workers
@@ -96,10 +95,10 @@ def test_claims_of_a_driver_that_is_silent_pass_on_whatever_clocks_say(
 ) -> None:
     """Drivers on other machines are known by their heartbeats only; these are counted, not timed."""
     now = [0.0]
-    monkeypatch.setattr(drivers.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(drivers, "_machine_id", lambda: "there")
+    monkeypatch.setattr(ledger_module.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(ledger_module, "_machine_id", lambda: "there")
     with Ledger(tmp_path) as there:
-        monkeypatch.setattr(drivers, "_machine_id", lambda: "here")
+        monkeypatch.setattr(ledger_module, "_machine_id", lambda: "here")
         with Ledger(tmp_path) as here:
             assert there.claim("a", "options", "code") is not None
             monkeypatch.setattr(time, "time", lambda: 1e12)  # a clock that jumps ten thousand years

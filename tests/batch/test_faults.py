@@ -20,12 +20,12 @@ from pathlib import Path
 import pytest
 
 from getagrip import cli
-from getagrip.batch.entries import LEDGER_FILE
+from getagrip.batch.ledger import LEDGER_FILE
 from getagrip.cli import _parse_command
 from getagrip.clip import Clip, write_clip
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
-from getagrip.io import leftovers
+from getagrip.io import files
 from getagrip.io.files import to_json
 from getagrip.result import Reconstruction, read_result
 from helpers.clips import small_clip
@@ -60,7 +60,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[Callable[[Clip], None]]:
         given = json.loads(to_json(asdict(options)))
         return replace(perfect(clip), clip=clip.name, options=given, method=options.method, seed=options.seed)
 
-    monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", fit)
+    monkeypatch.setattr("getagrip.reconstruct.reconstruct", fit)
     return meanwhile
 
 
@@ -104,7 +104,7 @@ def test_a_disk_that_is_full_at_any_write(
             _, status, err = with_disk(out, k, last)
             assert (status != 0 and err) or sound(out) == wanted, k  # without the last, the ledger's, all is done
             assert done(out) <= sound(out), k
-            assert not [*out.glob(f"{leftovers.TEMPORARY_FOLDER_PREFIX}*")], k
+            assert not [*out.glob(f"{files.TEMPORARY_FOLDER_PREFIX}*")], k
     for k in range(1, count + 1, 6):
         out = tmp_path / f"{k}-{10**9}" / "out"
         assert with_disk(out, 1, 0)[1] == 0

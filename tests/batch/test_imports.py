@@ -11,16 +11,15 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.batch.entries import LEDGER_FILE
-from getagrip.batch.imports import ImportJob, import_clips, import_part
-from getagrip.batch.ledger import Ledger
-from getagrip.batch.limits import Limits
-from getagrip.batch.share import SchedulingOptions, Shard
-from getagrip.commands.datasets import DATASETS
-from getagrip.datasets.cutting import TrackedDataset
-from getagrip.datasets.dataset import clips
+from getagrip.batch.import_dataset import ImportJob, import_clips, import_part
+from getagrip.batch.job import Limits
+from getagrip.batch.ledger import LEDGER_FILE, Ledger
+from getagrip.batch.scheduling import SchedulingOptions, Shard
+from getagrip.cli.datasets import DATASETS
 from getagrip.errors import InputError
-from getagrip.io import leftovers
+from getagrip.io import files
+from getagrip.readers.datasets.cutting import TrackedDataset
+from getagrip.readers.datasets.dataset import clips
 from helpers.command_line import Run
 from helpers.library import Library, Shelf
 from helpers.paths import ROOT
@@ -90,7 +89,7 @@ def test_the_table_loads_no_compiler() -> None:
 
 def test_the_trouble_of_a_clip_or_a_part_ends_no_other(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     library = Library(shelves=(Shelf("torn"), Shelf("fine")))
-    (tmp_path / f"{leftovers.TEMPORARY_FOLDER_PREFIX}0" / "new").mkdir(parents=True)  # of a process that was killed
+    (tmp_path / f"{files.TEMPORARY_FOLDER_PREFIX}0" / "new").mkdir(parents=True)  # of a process that was killed
     assert import_clips(library, tmp_path, debug=False) == 1
     printed = capsys.readouterr()
     assert {folder.name for folder in tmp_path.iterdir()} == {"torn-0", "torn-3", "fine-0", "fine-3", LEDGER_FILE}
@@ -174,7 +173,7 @@ def test_clips_in_memory_are_read_to_the_end_before_an_error_is_raised() -> None
 
 
 def test_a_camera_of_other_images_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("getagrip.batch.imports.camera_warning", lambda K, size: "it fits images of 8 x 6")
+    monkeypatch.setattr("getagrip.batch.import_dataset.camera_warning", lambda K, size: "it fits images of 8 x 6")
     imported = import_part(ImportJob(Shelf("a"), tmp_path))
     assert imported.warned == len(imported.made) == 2
     assert f"{tmp_path / 'a-0'}: warning: camera: it fits images of 8 x 6" in imported.notes

@@ -11,11 +11,10 @@ import pytest
 
 from getagrip.batch.job import Job, existing_outcome, failed_outcome, reconstruct_one
 from getagrip.clip import input_sha256, write_clip
-from getagrip.finding import Finding
 from getagrip.fitting.options import Options
 from getagrip.io.files import to_json
-from getagrip.probability import ASSUMED_MESH, Probability
 from getagrip.result import Reconstruction, write_result
+from getagrip.result.findings import ASSUMED_MESH, Finding, Probability
 from helpers.egg_and_mug import egg_and_mug, perfect
 
 DOUBT = Finding("contact-gap", True, 240.0, 15.0, "nothing is held")
@@ -32,7 +31,7 @@ def test_a_result_that_another_run_made_meanwhile_is_kept(tmp_path: Path, monkey
         write_result(found, job.out, input_sha256(folder))  # the other run ends first
         return found
 
-    monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", slow)
+    monkeypatch.setattr("getagrip.reconstruct.reconstruct", slow)
     outcome = reconstruct_one(job)
     assert outcome.state == "kept"
     assert outcome.findings == (DOUBT,)
@@ -49,7 +48,7 @@ def test_why_there_is_no_probability_is_said(
 ) -> None:
     scene = egg_and_mug()
     folder = write_clip(*scene, tmp_path / "clip")
-    monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", lambda *_: perfect(scene[0]))
+    monkeypatch.setattr("getagrip.reconstruct.reconstruct", lambda *_: perfect(scene[0]))
     outcome = reconstruct_one(Job("egg-and-mug", folder, tmp_path / "out", options, overwrite=False))
     assert (outcome.state, f"{said}), " in outcome.message) == ("done", True)
     assert outcome.message.startswith("IOU ")
@@ -60,7 +59,7 @@ def test_how_a_result_of_an_assumed_mesh_looks_is_said(tmp_path: Path, monkeypat
     scene = egg_and_mug()
     folder = write_clip(*scene, tmp_path / "clip")
     found = replace(perfect(scene[0]), probability_right=Probability(0.12, "", (ASSUMED_MESH,)), ambiguous=True)
-    monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", lambda *_: found)
+    monkeypatch.setattr("getagrip.reconstruct.reconstruct", lambda *_: found)
     outcome = reconstruct_one(Job("egg-and-mug", folder, tmp_path / "out", Options(), overwrite=False))
     assert " 12 % (extrapolated: assumed mesh) in the hand, probably looks right, ambiguous, " in outcome.message
 

@@ -13,8 +13,8 @@ from helpers.paths import import_path
 CODE = """
 import os, sys
 from pathlib import Path
-from getagrip.batch.entries import LedgerEntry
-from getagrip.batch.last_words import report_on_death
+from getagrip.batch.ledger import LedgerEntry
+from getagrip.batch.clusters import report_on_death
 from getagrip.batch.ledger import Ledger
 sys.argv = ["/usr/bin/getagrip", "reconstruct", "my clips", "--engine", "ray"]
 with Ledger(Path({0!r})) as ledger:

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from getagrip.clip import write_clip
-from getagrip.io.extras import install_command
+from getagrip.io.plugins import install_command
 from helpers.command_line import Run
 from helpers.folders import results_in
 from helpers.paths import import_path
@@ -31,7 +31,7 @@ def start(out: Path, address: str) -> subprocess.Popen[str]:
     """A driver as a process, which prints what has become of the tasks."""
     code = (
         "from functools import partial; from pathlib import Path\n"
-        "from getagrip.batch.on_ray import RayExecutor; from helpers.jobs import drive\n"
+        "from getagrip.batch.clusters import RayExecutor; from helpers.jobs import drive\n"
         f"executor = partial(RayExecutor, None, {address!r})\n"
         f"print(*drive(Path({str(out)!r}), {COUNT}, 0.4, 1, executor), sep='\\n')"
     )

@@ -12,15 +12,15 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.batch import on_slurm
+from getagrip.batch import clusters
+from getagrip.batch.clusters import SlurmExecutor
 from getagrip.batch.executor import run_on_executor
-from getagrip.batch.imports import import_clips
-from getagrip.batch.limits import NO_LIMITS, Limits
-from getagrip.batch.on_slurm import SlurmExecutor
-from getagrip.batch.share import SchedulingOptions
+from getagrip.batch.import_dataset import import_clips
+from getagrip.batch.job import NO_LIMITS, Limits
+from getagrip.batch.scheduling import SchedulingOptions
 from getagrip.clip import write_clip
 from getagrip.errors import GetagripError
-from getagrip.io import code
+from getagrip.io import plugins
 from helpers.command_line import Run
 from helpers.jobs import dies_once, drive, loses_its_task, patient
 from helpers.library import Library, Shelf
@@ -36,7 +36,7 @@ def slurm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """Tasks are processes of this machine; the folder of the commands."""
     folder = write_slurm(tmp_path / "slurm")
     monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
-    monkeypatch.setattr(on_slurm, "SLURM_POLL_S", 0.05)
+    monkeypatch.setattr(clusters, "SLURM_POLL_S", 0.05)
     submitit = pytest.importorskip("submitit")
     monkeypatch.setattr(submitit.Job, "_results_timeout_s", 0.2)  # patience with slow file systems
     monkeypatch.setattr(submitit.SlurmJob.watcher, "_delay_s", 0.2)  # and with sacct
@@ -106,7 +106,7 @@ def test_limits_hold_there_as_well(slurm: Path) -> None:
 @needs_submitit
 @pytest.mark.slow
 def test_a_machine_with_other_code_is_named(slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(code, "fingerprint", lambda: "0123456789abcdef")
+    monkeypatch.setattr(plugins, "fingerprint", lambda: "0123456789abcdef")
     with pytest.raises(GetagripError, match=r"must be the same on every machine.*got getagrip of other code "):
         list(run_on_executor(SlurmExecutor(1, patient, NO_LIMITS, None), ["a"]))
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.batch.plan import RESERVED_NAMES, ClipPlan
+from getagrip.batch.clips import RESERVED_NAMES, ClipPlan
 from getagrip.clip import write_clip
 from getagrip.errors import escape_unprintable
 from helpers.clips import small_clip
@@ -47,7 +47,7 @@ def test_where_case_makes_no_other_file_names_that_differ_in_it_alone_are_shared
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folds: bool, left: list[str]
 ) -> None:
     """As on Windows and macOS."""
-    monkeypatch.setattr("getagrip.batch.plan.FOLDS_CASE", folds)
+    monkeypatch.setattr("getagrip.batch.clips.FOLDS_CASE", folds)
     clip, masks = small_clip()
     for folder, name in enumerate(("Mug", "cup", "mug")):
         write_clip(replace(clip, name=name), masks, tmp_path / str(folder))

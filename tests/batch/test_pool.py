@@ -12,9 +12,8 @@ from typing import Any
 
 import pytest
 
-from getagrip.batch.executor import FinishedJob, run_in_processes, run_on_executor
-from getagrip.batch.limits import NO_LIMITS, Limits
-from getagrip.batch.processes import Processes
+from getagrip.batch.executor import FinishedJob, Processes, run_in_processes, run_on_executor
+from getagrip.batch.job import NO_LIMITS, Limits
 from getagrip.errors import UsageError
 from helpers.jobs import dies_once, greedy, patient, slow_start, work
 from helpers.paths import import_path

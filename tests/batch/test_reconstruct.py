@@ -17,12 +17,12 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.batch.plan import ClipPlan
-from getagrip.batch.share import Shard
+from getagrip.batch.clips import ClipPlan
+from getagrip.batch.scheduling import Shard
 from getagrip.clip import Clip, input_sha256, write_clip
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
-from getagrip.io import code, leftovers
+from getagrip.io import files, plugins
 from getagrip.io.files import new_folder, to_json
 from getagrip.result import RESULT_FILES, Reconstruction, read_result
 from helpers.clips import small_clip
@@ -54,7 +54,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         given = json.loads(to_json(asdict(options)))
         return replace(perfect(clip), clip=clip.name, options=given, method=options.method, seed=options.seed)
 
-    monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", fit)
+    monkeypatch.setattr("getagrip.reconstruct.reconstruct", fit)
     return names
 
 
@@ -80,7 +80,7 @@ def test_what_is_done_is_done_again_only_where_something_differs_and_that_is_sai
     (out / "b" / "result.npz").write_bytes(b"PK")
     said = run(*call)[1]
     assert "b: done again, since what was there is damaged (" in said
-    monkeypatch.setattr(code, "fingerprint", lambda: "0123456789abcdef")
+    monkeypatch.setattr(plugins, "fingerprint", lambda: "0123456789abcdef")
     assert run(*call)[1].count("done again, since what was there is of other code") == 3
     mesh = clips / "a" / "object.obj"
     mesh.write_text(mesh.read_text() + "# edited\n")
@@ -97,7 +97,7 @@ def test_a_clip_that_changes_while_it_is_read_is_not_called_done(
             mesh.write_text(mesh.read_text() + "# edited\n")
         return perfect(clip, clip.name)
 
-    monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", fit)
+    monkeypatch.setattr("getagrip.reconstruct.reconstruct", fit)
     status, printed, err = run("reconstruct", clips, "--out", tmp_path / "out")
     assert status == 1
     assert "2 done, 0 already done, 1 failed" in printed
@@ -185,7 +185,7 @@ def test_a_full_disk_leaves_no_broken_result(
     assert err
     for folder in results_in(out):
         read_result(folder)
-    assert not [path for path in out.rglob("*") if path.name.startswith(leftovers.TEMPORARY_FOLDER_PREFIX)]
+    assert not [path for path in out.rglob("*") if path.name.startswith(files.TEMPORARY_FOLDER_PREFIX)]
     assert run("reconstruct", clips, "--out", out)[0] == 0
     assert len(results_in(out)) == len(rows(out)) == 3
 
@@ -250,7 +250,7 @@ def killed(tmp_path: Path) -> Iterator[Path]:
     with subprocess.Popen([sys.executable, "-c", code], env=import_path(), stdout=subprocess.PIPE) as writer:
         assert writer.stdout is not None
         writer.stdout.readline()
-        assert leftovers.remove_stale_folders(target.parent) == []  # it lives
+        assert files.remove_stale_folders(target.parent) == []  # it lives
         writer.kill()
         writer.wait()
         yield target
@@ -261,7 +261,7 @@ def test_what_a_killed_writer_leaves_is_swept_and_what_it_was_replacing_returns(
     killed: Path, clips: Path, run: Run, fitted: list[str]
 ) -> None:
     out = killed.parent
-    (left,) = out.glob(f"{leftovers.TEMPORARY_FOLDER_PREFIX}*")
+    (left,) = out.glob(f"{files.TEMPORARY_FOLDER_PREFIX}*")
     assert (left / "new" / "clip" / "half").exists()
     replaced = left / "old" / "older"  # as where it is killed between the two renames
     with new_folder(replaced) as new:

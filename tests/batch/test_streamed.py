@@ -15,8 +15,8 @@ import pytest
 
 from getagrip.clip import Clip, write_clip
 from getagrip.errors import GetagripError
-from getagrip.io.extras import install_command
 from getagrip.io.files import to_json
+from getagrip.io.plugins import install_command
 from getagrip.io.storage import RemotePath
 from getagrip.result import Reconstruction, read_result
 from helpers.clips import small_clip
@@ -56,7 +56,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         whole = replace(clip, truth=small_clip()[0].truth)
         return replace(perfect(whole), clip=clip.name, options=given, method=options.method, seed=options.seed)
 
-    monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", fit)
+    monkeypatch.setattr("getagrip.reconstruct.reconstruct", fit)
     return names
 
 
@@ -107,7 +107,7 @@ def test_either_may_be_on_a_disk(
         assert run("reconstruct", f"{clips}/a", "--out", tmp_path / "out")[0] == 0
         assert read_result(tmp_path / "out" / "a")[1]["clip_folder"] == f"{clips}/a"
     else:
-        monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", lambda clip, *_: perfect(clip, clip.name))
+        monkeypatch.setattr("getagrip.reconstruct.reconstruct", lambda clip, *_: perfect(clip, clip.name))
         assert run("reconstruct", f"file://{tmp_path}/clips/a", "--out", f"{store}/out")[0] == 0
         assert (RemotePath(f"{store}/out/a") / "result.json").read(10_000) is not None
 

@@ -13,19 +13,23 @@ from hypothesis import strategies as st
 from benchmarks.kept import HEADER, calibrated, lines, of_part
 from benchmarks.kept_rows import END, REAL, SYNTHETIC, Row, read
 from benchmarks.probability import stored, write
-from getagrip.batch.keep import MAX_KEEP_SHARE, MIN_KEEP_SHARE, KeepOptions
-from getagrip.checks.calibrated import (
+from getagrip.batch.summary import MAX_KEEP_SHARE, MIN_KEEP_SHARE, KeepOptions
+from getagrip.checks.calibration import (
     CALIBRATION_FILE,
     CALIBRATIONS,
     CORRECTED_CALIBRATIONS,
+    KEEP_SHARES,
     KEEP_THRESHOLDS,
+    KeepThresholds,
+    candidate_set_thresholds,
+    keep_threshold,
+    kind_of_input,
     read_calibrations,
 )
-from getagrip.checks.keeping import KEEP_SHARES, KeepThresholds, candidate_set_thresholds, keep_threshold, kind_of_input
-from getagrip.checks.signs import HAND_FEATURES
+from getagrip.checks.features import HAND_FEATURES
 from getagrip.errors import UsageError
-from getagrip.probability import Probability
 from getagrip.provenance import assumed, estimated, kind_of_hands, measured
+from getagrip.result.findings import Probability
 
 USUAL = (*CALIBRATIONS["soft-hinge", "hand"].weights, *(sign.name for sign in HAND_FEATURES))
 

@@ -11,17 +11,16 @@ from numpy import ndarray
 
 from getagrip.batch.clips import _Tally
 from getagrip.batch.job import Outcome
-from getagrip.batch.keep import KeepOptions
-from getagrip.batch.share import BatchOptions
+from getagrip.batch.scheduling import BatchOptions
+from getagrip.batch.summary import KeepOptions
 from getagrip.checks import RESULT_CHECKS, Evidence, run_checks
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.noise import Noise, perturbed
 from getagrip.errors import UsageError
-from getagrip.finding import Finding
-from getagrip.fitting.image_iou import image_iou
+from getagrip.fitting.stages.robust_masks import image_iou
 from getagrip.geometry import se3
-from getagrip.probability import Probability
 from getagrip.provenance import assumed
+from getagrip.result.findings import Finding, Probability
+from getagrip.synthetic.noise import Noise, perturbed
 from helpers.scenes import SMALL, scene
 
 SERIOUS = {"large-mask-misfit", "poor-mask-fit"}

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS, Evidence, run_checks
-from getagrip.checks.of_timeline import FLOATING_CHECK, JUMP_CHECK
-from getagrip.finding import read_findings
+from getagrip.checks.timeline_checks import FLOATING_CHECK, JUMP_CHECK
 from getagrip.io.files import to_json
+from getagrip.result.findings import read_findings
 from helpers.clips import small_clip
 
 CHECKS = {check.name: check for check in (*INPUT_CHECKS.values(), *RESULT_CHECKS.values(), JUMP_CHECK, FLOATING_CHECK)}

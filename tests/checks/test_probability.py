@@ -17,9 +17,8 @@ from benchmarks.kept_rows import Row
 from benchmarks.probability import Results, judged, stored, thresholds, write
 from benchmarks.signed_results import ALWAYS
 from getagrip.checks import SolvedEvidence
-from getagrip.checks.calibrated import CALIBRATION_FILE, CALIBRATIONS, ESTIMATED_CALIBRATIONS, read_calibrations
-from getagrip.checks.calibration import Where
-from getagrip.checks.signs import (
+from getagrip.checks.calibration import CALIBRATION_FILE, CALIBRATIONS, ESTIMATED_CALIBRATIONS, Where, read_calibrations
+from getagrip.checks.features import (
     FEATURES,
     HAND_FEATURES,
     compute_features,
@@ -32,17 +31,21 @@ from getagrip.checks.signs import (
     solution_spread,
 )
 from getagrip.clip.depth import Depth, DepthSource
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.finding import Finding
-from getagrip.fitting.judge import UNCALIBRATED_DEPTH_FINDINGS, probabilities, probability_right, uncalibrated_reason
 from getagrip.fitting.options import Options
+from getagrip.fitting.stages.confidence import (
+    UNCALIBRATED_DEPTH_FINDINGS,
+    probabilities,
+    probability_right,
+    uncalibrated_reason,
+)
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.symmetry import find_symmetries
-from getagrip.probability import Probability, format_probability
 from getagrip.provenance import Source, estimated
 from getagrip.result import Axis, Candidates
+from getagrip.result.findings import Finding, Probability, format_probability
+from getagrip.synthetic.scene import synthesise
+from getagrip.synthetic.scene_options import SceneOptions
 
 DIRECTION = {sign.name: sign.direction for sign in FEATURES}
 USUAL = {name: 0.5 * (weight.low + weight.high) for name, weight in CALIBRATIONS["soft-hinge", "hand"].weights.items()}

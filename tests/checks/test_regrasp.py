@@ -7,7 +7,7 @@ import pytest
 from numpy import ndarray
 
 from getagrip.checks import RESULT_CHECKS, Evidence, run_checks
-from getagrip.checks.regrasp import MIN_REGRASP_FRAMES, describe_largest_step, object_steps, regrasp_jump
+from getagrip.checks.results import MIN_REGRASP_FRAMES, describe_largest_step, object_steps, regrasp_jump
 from getagrip.geometry import se3
 from helpers.scenes import scene
 

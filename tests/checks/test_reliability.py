@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.reliability import auroc, auroc_interval, bins, calibration_error, fit_weights, least_error
+from getagrip.bench.comparison import bootstrap_resamples
 from getagrip.checks.calibration import sigmoid
-from getagrip.experiments.comparison import bootstrap_resamples
 
 
 def test_the_fit_finds_what_drew_the_labels() -> None:

@@ -8,20 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from getagrip.bench.inputs.perturbations import Wrong
+from getagrip.bench.inputs.wrong_inputs import INPUT_MISTAKES
 from getagrip.checks import INPUT_CHECKS, Evidence, run_checks
 from getagrip.checks.evidence import Glitches
-from getagrip.checks.frame_order import MaskDelay, mask_delay
-from getagrip.checks.plausibility import finger_bend
+from getagrip.checks.inputs import MaskDelay, finger_bend, mask_delay
 from getagrip.clip import Clip, Masks, write_clip
 from getagrip.errors import GetagripError
-from getagrip.experiments.changes import Wrong
-from getagrip.experiments.wrong_inputs import INPUT_MISTAKES
 from getagrip.fitting.methods import METHODS, Method, OnStage
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.geometry import se3
 from getagrip.provenance import assumed
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.reconstruct import reconstruct
 from helpers.command_line import Run
 from helpers.scenes import SMALL, scene
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.checks.of_timeline import TimelineChecks, check_timeline
+from getagrip.checks.timeline_checks import TimelineChecks, check_timeline
 from getagrip.clip import Clip, Masks, check_clip
 from getagrip.errors import InputError
-from getagrip.fitting.image_iou import image_iou
+from getagrip.fitting.stages.robust_masks import image_iou
 from getagrip.geometry import se3
 from helpers.timelines import COMES, LIES, timeline
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from getagrip.cli import command_groups
+from getagrip.cli.command import Command
 from getagrip.clip import read_clip, read_masks, write_clip
-from getagrip.commands.command import Command
 from getagrip.result import read_result
 from helpers.command_line import Run
 from helpers.folders import results_in

@@ -13,11 +13,11 @@ import pytest
 
 from getagrip import __main__ as program
 from getagrip import cli
-from getagrip.io import interrupts
+from getagrip.io import processes
 from helpers.paths import import_path
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-PRESS = "import os, signal; from getagrip.io import interrupts; interrupts.{0}(); os.kill(os.getpid(), signal.SIGINT)"
+PRESS = "import os, signal; from getagrip.io import processes; processes.{0}(); os.kill(os.getpid(), signal.SIGINT)"
 CUSTOM = """
 import sys, time
 from pathlib import Path
@@ -30,7 +30,7 @@ if any("spawn_main" in word for word in sys.orig_argv):
 
 @pytest.fixture(autouse=True)
 def _as_before(monkeypatch: pytest.MonkeyPatch) -> object:
-    monkeypatch.setattr(interrupts, "_interrupt_count", 0)
+    monkeypatch.setattr(processes, "_interrupt_count", 0)
     before = signal.getsignal(signal.SIGINT)
     yield
     signal.signal(signal.SIGINT, before)
@@ -56,7 +56,7 @@ def test_another_error_that_libraries_make_of_it_is_told_as_an_interrupt(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def swallowed() -> int:
-        interrupts.raise_on_interrupt()
+        processes.raise_on_interrupt()
         try:
             signal.raise_signal(signal.SIGINT)
         except KeyboardInterrupt:

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.clip.mask_request import MaskRequest
-from getagrip.clip.mask_sources import open_masks
 from getagrip.io import arrays
+from getagrip.readers.masks.mask_request import MaskRequest
+from getagrip.readers.masks.mask_sources import open_masks
 from helpers.mask_files import FRAMES, SIZE, labels
 
 CUP = labels() == 1

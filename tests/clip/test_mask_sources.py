@@ -17,12 +17,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from getagrip.clip.label_choice import read_label_image
-from getagrip.clip.mask_request import MaskRequest
-from getagrip.clip.mask_sources import open_masks
-from getagrip.commands.import_masks import write_reader_masks
+from getagrip.cli.import_files import write_reader_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays
+from getagrip.readers.masks.mask_request import MaskRequest, read_label_image
+from getagrip.readers.masks.mask_sources import open_masks
 from helpers.mask_files import FRAMES, SIZE, coco, label_folder, labels, segments_of, write_png
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.clip.naming import frame_of, matching_names, number_in, pattern_of
+from getagrip.clip.match_frames import frame_of, matching_names, number_in, pattern_of
 
 FRAMES = tuple(f"{n:06d}" for n in range(1, 31))
 

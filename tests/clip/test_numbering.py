@@ -2,7 +2,7 @@
 
 import pytest
 
-from getagrip.clip.naming import check_frame_numbers, has_number_offset, renumber_frames
+from getagrip.clip.match_frames import check_frame_numbers, has_number_offset, renumber_frames
 from getagrip.errors import UsageError
 
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from getagrip.clip import Masks, with_masks
-from getagrip.clip.occlusion import occluded_by_hand
+from getagrip.clip.masks import occluded_by_hand
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare_problem
 from getagrip.geometry import se3
-from getagrip.geometry.depth import depth_and_face
+from getagrip.geometry.rasterize import depth_and_face
 from helpers.clips import small_clip
 
 

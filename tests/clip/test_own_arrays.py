@@ -10,8 +10,8 @@ import pytest
 
 from getagrip import Clip, Mesh, Reconstruction, UsageError, World, evaluate, reconstruct, synthesise, write_report
 from getagrip.clip import check_clip, check_masks, find_masks
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.options import Options
+from getagrip.synthetic.scene_options import SceneOptions
 from helpers.clips import small_clip
 
 Refused = Callable[..., str]

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.clip.sampling import frame_indices
+from getagrip.clip.clip import frame_indices
 
 
 @given(st.integers(1, 400), st.integers(2, 60))

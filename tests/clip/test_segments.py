@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip.clip.segments import decode_region, decode_run_lengths, fill_polygons
 from getagrip.errors import InputError
+from getagrip.readers.masks.mask_regions import decode_region, decode_run_lengths, fill_polygons
 from helpers.mask_files import SIZE, encoded
 
 

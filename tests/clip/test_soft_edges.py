@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.clip.label_choice import read_label_image
-from getagrip.clip.mask_request import MaskRequest
-from getagrip.clip.mask_sources import open_masks
+from getagrip.readers.masks.mask_request import MaskRequest, read_label_image
+from getagrip.readers.masks.mask_sources import open_masks
 
 SIZE = (160, 120)
 FRAMES = ("000001", "000002", "000003")

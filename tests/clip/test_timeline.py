@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip.clip import Clip, OtherHand, Segment, State, World, input_sha256, read_clip, write_clip
-from getagrip.clip.reading import read_header
+from getagrip.clip.read import read_header
 from getagrip.clip.timeline import STATES, at_frames
-from getagrip.clip.writing import write_hand
+from getagrip.clip.write import write_hand
 from getagrip.errors import InputError, UsageError
 from helpers.clips import small_clip
 

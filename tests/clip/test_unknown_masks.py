@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Masks, find_masks, input_sha256, read_clip, read_masks, read_observed, write_clip
-from getagrip.clip.data import FrameMasks
-from getagrip.clip.occlusion import occluded_by_hand
+from getagrip.clip.clip import FrameMasks
+from getagrip.clip.masks import occluded_by_hand
 from helpers.clips import small_clip
 
 GONE = [1, 3]

@@ -17,17 +17,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.clip import (
-    Clip,
-    Masks,
-    World,
-    input_sha256,
-    read_clip,
-    read_masks,
-    read_name,
-    write_clip,
-)
-from getagrip.clip.writing import write_hand
+from getagrip.clip import Clip, Masks, World, input_sha256, read_clip, read_masks, read_name, write_clip
+from getagrip.clip.write import write_hand
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import write_mesh

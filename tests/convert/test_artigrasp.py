@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from getagrip.clip import read_clip, write_clip
-from getagrip.datasets import arctic, cutting
-from getagrip.datasets.track_files import Tracks
-from getagrip.datasets.tracks import Track
 from getagrip.geometry import se3
+from getagrip.geometry.mesh import subdivide_parts
 from getagrip.geometry.mesh_files import read_mesh
-from getagrip.geometry.subdivide import subdivide_parts
+from getagrip.readers.datasets import arctic, cutting
+from getagrip.readers.datasets.track_files import Tracks
+from getagrip.readers.datasets.tracks import Track
 from helpers.artigrasp_files import ESTIMATE_WORLD, SEQUENCE, write_artigrasp, write_estimates
 from helpers.paths import folder_of
 from helpers.recorded_joints import OPENED, TAKEN, recording

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.datasets.track_files import Tracks
 from getagrip.geometry import se3
 from getagrip.hands import generic, mano
 from getagrip.hands.model import Side
+from getagrip.readers.datasets.track_files import Tracks
 from helpers.held_ball import Hostile, motion
 from helpers.paths import DATA, folder_of, needs
 from helpers.taco_files import write_taco

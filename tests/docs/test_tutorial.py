@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from getagrip.cli import demo
 from getagrip.clip import read_clip
-from getagrip.commands import demo
-from getagrip.datasets.synthetic import scene_options
-from getagrip.datasets.synthetic.scene import clip_name
-from getagrip.datasets.synthetic.splits import SYNTHETIC_PRESETS
-from getagrip.pictures.style import AXIS_COLOUR
+from getagrip.report.pictures.panels import AXIS_COLOUR
 from getagrip.result import read_result
+from getagrip.synthetic import scene_options
+from getagrip.synthetic.categories import SYNTHETIC_PRESETS
+from getagrip.synthetic.scene import clip_name
 from helpers.command_line import Run
 from helpers.pages import commands
 from helpers.paths import ROOT
@@ -58,9 +58,9 @@ def test_the_demo_and_a_video_of_ones_own(tmp_path: Path, run: Run, monkeypatch:
         tmp_path / "out" / "demo" / clip_name(demo.DEMO_CATEGORY, demo.DEMO_SEED, scene_options.DEMO_SCENE_OPTIONS)
     )[0]
     with monkeypatch.context() as patch:  # it can be run again; the same would be found and drawn
-        patch.setattr("getagrip.timelines.reconstruct.reconstruct", lambda *_, **__: again)
-        patch.setattr("getagrip.pictures.report.write_report", lambda *given: given[3])
-        patch.setattr("getagrip.pages.write_page", lambda *given: given[3])
+        patch.setattr("getagrip.reconstruct.reconstruct", lambda *_, **__: again)
+        patch.setattr("getagrip.report.pictures.result_picture.write_report", lambda *given: given[3])
+        patch.setattr("getagrip.report.pages.write_page", lambda *given: given[3])
         assert run(*words[1:])[0] == 0
     the_mug_is_found(tmp_path / "out" / "demo")
     follow("A video of your own", run, monkeypatch)

@@ -12,9 +12,9 @@ from typing import Any, get_args, get_type_hints
 import pytest
 
 from getagrip import cli
-from getagrip.commands import datasets
-from getagrip.commands.command import Command
-from getagrip.commands.figure import Figures
+from getagrip.cli import datasets
+from getagrip.cli.command import Command
+from getagrip.cli.figure import Figures
 from helpers.paths import ROOT
 
 CALL = re.compile(

@@ -19,7 +19,7 @@ from getagrip.clip import World, input_sha256, read_clip
 from getagrip.errors import UsageError
 from getagrip.export import EXPORT_FORMATS, Scene, export
 from getagrip.export.bop import image_ids
-from getagrip.export.stage import StageFrame
+from getagrip.export.scene import StageFrame
 from getagrip.geometry import se3
 from getagrip.result import write_result
 from helpers.command_line import Run

@@ -14,7 +14,7 @@ import pytest
 from getagrip.errors import InputError, UsageError
 from getagrip.export import Scene, export
 from getagrip.export.lerobot import CAMERA_FEATURE, STATE_COMPONENTS, feature_statistics, image_stats, integer_fps
-from getagrip.export.stage import StageFrame
+from getagrip.export.scene import StageFrame
 from getagrip.geometry import se3
 from getagrip.io.images import write_image
 from helpers.needs import needs

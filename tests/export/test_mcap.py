@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from getagrip.errors import InputError
 from getagrip.export import Scene, export
-from getagrip.export.stage import StageFrame
+from getagrip.export.scene import StageFrame
 from getagrip.geometry import se3
 from helpers.needs import needs
 

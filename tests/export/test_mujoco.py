@@ -12,9 +12,8 @@ from numpy import ndarray
 
 from getagrip import SceneOptions, synthesise
 from getagrip.export import Scene, export
-from getagrip.export.bones import BONE_END_JOINTS, Bones
 from getagrip.export.mujoco import convex_decomposition
-from getagrip.export.stage import StageFrame
+from getagrip.export.scene import BONE_END_JOINTS, Bones, StageFrame
 from getagrip.geometry import se3
 from helpers.clips import box
 from helpers.needs import needs

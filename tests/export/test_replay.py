@@ -12,7 +12,7 @@ from getagrip import SceneOptions, synthesise
 from getagrip.errors import UsageError
 from getagrip.export import Scene
 from getagrip.export.replay import simulate_replay, split_hand_by_bones
-from getagrip.export.stage import StageFrame
+from getagrip.export.scene import StageFrame
 from getagrip.geometry import se3
 from helpers.needs import needs
 from helpers.true_result import true_result

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from getagrip.errors import UsageError
 from getagrip.export import Scene, export
-from getagrip.export.stage import StageFrame, palm_orientation
+from getagrip.export.scene import StageFrame, palm_orientation
 from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.model import mirrored

@@ -11,10 +11,10 @@ from numpy import ndarray
 
 from getagrip.errors import UsageError
 from getagrip.export import Scene, export
-from getagrip.export.stage import StageFrame
+from getagrip.export.scene import StageFrame
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
-from getagrip.io import extras
+from getagrip.io import plugins
 from helpers.needs import needs
 
 pytestmark = needs("pxr", "usd")
@@ -73,7 +73,7 @@ def test_without_usd_it_says_what_to_install(scene: Scene, tmp_path: Path, monke
     def missing(name: str) -> None:
         raise ImportError(name)
 
-    monkeypatch.setattr(extras.importlib, "import_module", missing)
+    monkeypatch.setattr(plugins.importlib, "import_module", missing)
     with pytest.raises(UsageError, match=r"missing module 'pxr.Usd'.*--to usd needs it; pip install "):
         export(scene, tmp_path / "out", "usd")
     assert not list(tmp_path.iterdir())

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.fitting import solve
-from getagrip.fitting.adam import energy_gradient, minimise_by_adam
 from getagrip.fitting.energy import PosesInCamera, Quadratic
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion
-from getagrip.fitting.solve import evaluate
+from getagrip.fitting.solver import solve
+from getagrip.fitting.solver.solve import energy_gradient, evaluate, minimise_by_adam
 from getagrip.geometry import se3
 from getagrip.result import Status
 

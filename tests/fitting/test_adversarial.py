@@ -16,12 +16,12 @@ import pytest
 from fuzz import adversarial
 from fuzz.adversarial import Case, attempts, limited, main
 from fuzz.troubles import quartered
-from getagrip.datasets.synthetic.categories import SYNTHETIC_CATEGORIES
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.geometry import mesh as meshes
 from getagrip.geometry.mesh import cluster_vertices
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.reconstruct import reconstruct
+from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
 from helpers.clips import box
 from helpers.scenes import SHORT, scene
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from getagrip.fitting.contact import HandContacts, farthest_point_sampling
+from getagrip.fitting.energy.contact import HandContacts, farthest_point_sampling
 from getagrip.geometry import se3
 from helpers.clips import small_clip
 

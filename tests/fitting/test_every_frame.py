@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Masks, read_clip, read_masks, write_clip
-from getagrip.evaluation import evaluate
-from getagrip.evaluation.metric import ADD_MM
-from getagrip.fitting import every_frame
 from getagrip.fitting.energy import Energy
-from getagrip.fitting.energy.reprojection import ReprojectionTerm
+from getagrip.fitting.energy.homan_terms import ReprojectionTerm
 from getagrip.fitting.methods import METHODS, Method, OnStage
 from getagrip.fitting.methods.all_frames import soft_hinge
 from getagrip.fitting.motion import PosesInHand, interpolate_object_poses
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
+from getagrip.fitting.stages import remaining_frames
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
+from getagrip.metrics.evaluate import evaluate
+from getagrip.metrics.evaluate.metric import ADD_MM
+from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction, read_result, write_result
-from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SMALL, scene
 
 HIDDEN = (5, 6)
@@ -100,7 +100,7 @@ def test_it_does_not_matter_where_the_masks_are_nor_how_many_are_read_at_once(
     again = reconstruct(clip, None, replace(QUICK, method="one-dof"))
     in_memory = reconstruct(clip, read_masks(clip), replace(QUICK, method="one-dof"))
     np.testing.assert_array_equal(again.T_hand_obj, in_memory.T_hand_obj)
-    monkeypatch.setattr(every_frame, "FIT_CHUNK_FRAMES", 2)
+    monkeypatch.setattr(remaining_frames, "FIT_CHUNK_FRAMES", 2)
     few = reconstruct(clip, None, replace(QUICK, method="one-dof"))
     apart = se3.transform(few.T_hand_obj, clip.mesh.vertices) - se3.transform(again.T_hand_obj, clip.mesh.vertices)
     assert np.linalg.norm(apart, axis=-1).max() < 0.003
@@ -186,7 +186,7 @@ def test_where_the_mesh_does_not_meet_the_masks_the_other_frames_follow_their_ne
         return float(se3.angle_between(turns[1:], turns[:-1]).mean()), result
 
     smooth, followed = bent()
-    monkeypatch.setattr(every_frame, "BENDING_WEIGHT", 0.0)
+    monkeypatch.setattr(remaining_frames, "BENDING_WEIGHT", 0.0)
     rough, alone = bent()
     sampled = alone.frames_of("sampled")
     np.testing.assert_array_equal(followed.T_hand_obj[sampled], alone.T_hand_obj[sampled])

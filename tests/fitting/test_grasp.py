@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from getagrip.clip import with_masks
-from getagrip.fitting.grasp import unconverged_motion
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import FrameSolutions, _final_status
 from getagrip.fitting.problem import MethodResult, Problem, prepare_problem
 from getagrip.geometry import se3
+from getagrip.reconstruct import unconverged_motion
 from getagrip.result import Status
 from helpers.scenes import SHORT, scene
 

@@ -10,20 +10,20 @@ import pytest
 from numpy import ndarray
 
 from getagrip.clip import Clip, HandTrack, Masks, with_masks
-from getagrip.datasets.synthetic.noise import Noise, noisy_hand
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.fitting.hand_errors import HandErrors
-from getagrip.fitting.hand_refinement import refine_hand
-from getagrip.fitting.hand_silhouette import HAND_CROP_SIZE_PX, HandMask, HandSilhouette
+from getagrip.fitting.hand.hand_error_model import HandErrors
+from getagrip.fitting.hand.hand_silhouette import HAND_CROP_SIZE_PX, HandMask, HandSilhouette
+from getagrip.fitting.hand.refine_hand import refine_hand
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare_problem
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
-from getagrip.geometry.depth import render_coverage
-from getagrip.hands.bending import bend_fingers, finger_weights
-from getagrip.kernels.silhouette import unpack
+from getagrip.geometry.kernels.silhouette import unpack
+from getagrip.geometry.rasterize import render_coverage
+from getagrip.hands.generic import bend_fingers, finger_weights
 from getagrip.provenance import assumed, estimated
+from getagrip.synthetic.noise import Noise, noisy_hand
+from getagrip.synthetic.scene import synthesise
+from getagrip.synthetic.scene_options import SceneOptions
 
 CONSTANT = Noise(hand_bias_deg=8.0, hand_bias_mm=10.0)
 

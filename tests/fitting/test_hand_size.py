@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from getagrip.bench.inputs.simulated_evidence import SimulatedDepth
 from getagrip.clip import Clip, Segment, with_masks
 from getagrip.clip.depth import DEPTH_KEY, Depth
-from getagrip.experiments.simulated_evidence import SimulatedDepth
-from getagrip.fitting.hand_size import restore_object_size, with_hand_size
+from getagrip.fitting.hand.hand_size import restore_object_size, with_hand_size
 from getagrip.fitting.methods.all_frames import search_of
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare_problem
-from getagrip.fitting.schedule import DEFAULT_SCHEDULE, THOROUGH_SCHEDULE
+from getagrip.fitting.solver.search import DEFAULT_SCHEDULE, THOROUGH_SCHEDULE
 from getagrip.geometry import se3
 from getagrip.provenance import assumed, measured
+from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction, read_result, write_result
-from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SMALL, scene, scores
 
 LIFTED = {"hands_scale": assumed("a mean hand's")}

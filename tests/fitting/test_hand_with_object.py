@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
+from getagrip.bench.inputs.simulated_evidence import true_joints
 from getagrip.clip import Clip, Masks, with_masks
-from getagrip.datasets.synthetic.noise import Noise, noisy_hand
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.experiments.simulated_evidence import true_joints
-from getagrip.fitting.hand_with_object import solve_with_hand
+from getagrip.fitting.hand.hand_solution import SolvedHand, interpolate_solved_hand
+from getagrip.fitting.hand.joint_hand_object import solve_with_hand
 from getagrip.fitting.methods.all_frames import soft_energy
 from getagrip.fitting.motion import Fixed, Hinge, Soft, hand_object_transforms
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem, prepare_problem
-from getagrip.fitting.solved_hand import SolvedHand, interpolate_solved_hand
 from getagrip.geometry import camera, se3
 from getagrip.provenance import estimated, measured
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.reconstruct import reconstruct
+from getagrip.synthetic.noise import Noise, noisy_hand
+from getagrip.synthetic.scene import synthesise
+from getagrip.synthetic.scene_options import SceneOptions
 
 SCENE = SceneOptions(frames=6, size=(320, 240), focal=300.0, turn_deg=(0.0, 1.0), residual_deg=0.0, residual_mm=0.0)
 OFF = Noise(hand_bias_deg=12.0, hand_bias_mm=8.0, hand_bias_depth_mm=20.0)

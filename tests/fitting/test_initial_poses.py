@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from getagrip.clip import FINGERS, Clip, Masks
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.fitting.initial_poses import grip_point, initial_poses
+from getagrip.fitting.solver.initial_poses import grip_point, initial_poses
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
+from getagrip.synthetic.scene import synthesise
+from getagrip.synthetic.scene_options import SceneOptions
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ from getagrip.clip import Clip, Masks
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction
-from getagrip.timelines.reconstruct import reconstruct
 from helpers.reconstructions import DEFAULT, found
 from helpers.scenes import SHORT, SMALL, scene
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.fitting import learn_priors as clusters
-from getagrip.fitting.learn_priors import cluster_rotations, karcher_mean, learn_pose_priors, true_grasp_pose
+from getagrip.fitting.solver import cluster_poses as clusters
+from getagrip.fitting.solver.cluster_poses import cluster_rotations, karcher_mean, learn_pose_priors, true_grasp_pose
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from helpers.grasp_priors import held, rotations

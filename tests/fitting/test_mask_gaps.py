@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
+from getagrip.bench.inputs.perturbations import Gapped
 from getagrip.clip import Clip, Masks, with_masks
-from getagrip.experiments.changes import Gapped
-from getagrip.fitting import hand_silhouette, problem
+from getagrip.fitting import problem
 from getagrip.fitting.energy import PosesInCamera
-from getagrip.fitting.mask_gaps import MAX_GAP_PX, find_gap_pixels
+from getagrip.fitting.energy.mask import MASK_CROP_SIZE_PX, MASK_LEVELS_PX, MAX_GAP_PX, find_gap_pixels, observe_masks
+from getagrip.fitting.hand import hand_silhouette
 from getagrip.fitting.objective import mask_energy
-from getagrip.fitting.observation import MASK_CROP_SIZE_PX, MASK_LEVELS_PX, observe_masks
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare_problem
 from getagrip.geometry import se3
-from getagrip.kernels.silhouette import unpack
+from getagrip.geometry.kernels.silhouette import unpack
 from helpers.scenes import SHORT, scene
 
 

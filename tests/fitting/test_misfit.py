@@ -7,12 +7,11 @@ import pytest
 
 from getagrip.clip import Masks
 from getagrip.fitting.energy import PosesInCamera
-from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
-from getagrip.fitting.misfit import relative_contour_error, stiffen_ridge
-from getagrip.fitting.observation import observe_masks
+from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh, observe_masks
+from getagrip.fitting.stages.mesh_deformation import relative_contour_error, stiffen_ridge
 from getagrip.geometry import se3
+from getagrip.geometry.kernels.silhouette import silhouettes, unpack
 from getagrip.geometry.mesh import Mesh
-from getagrip.kernels.silhouette import silhouettes, unpack
 from helpers.clips import box
 
 FRAMES = 8

@@ -9,20 +9,20 @@ import pytest
 from numpy import ndarray
 
 from getagrip.clip import HandTrack, with_masks
-from getagrip.datasets.synthetic.noise import Noise, noisy_hand
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.energy import HandInCamera, InHand, ObjectWithHand, OnHand, Term
-from getagrip.fitting.energy.reprojection import ReprojectionTerm
+from getagrip.fitting.energy.homan_terms import ReprojectionTerm
 from getagrip.fitting.motion import Fixed, Frozen, HandPrior, Hinge, MovingHand, PosesInHand, Soft
 from getagrip.fitting.objective import mask_energy
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare_problem
-from getagrip.fitting.solve import evaluate, jacobian_in_camera, minimise, poses_in_camera
+from getagrip.fitting.solver.solve import evaluate, jacobian_in_camera, minimise, poses_in_camera
 from getagrip.geometry import camera, se3
 from getagrip.hands import generic
 from getagrip.hands.model import hand_track
 from getagrip.least_squares import DampingRules
+from getagrip.synthetic.noise import Noise, noisy_hand
+from getagrip.synthetic.scene import synthesise
+from getagrip.synthetic.scene_options import SceneOptions
 from helpers.terms import some_term
 
 B, N = 2, 4

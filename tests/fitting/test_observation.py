@@ -9,18 +9,18 @@ from hypothesis import strategies as st
 from numpy import ndarray
 
 from getagrip.clip import Masks
-from getagrip.fitting.energy.mask import SilhouetteMesh
-from getagrip.fitting.observation import (
+from getagrip.fitting.energy.mask import (
     DISTANCE_FIELD_SIZE_PX,
     MASK_CROP_SIZE_PX,
     MASK_LEVELS_PX,
     N_COVERAGE_TARGETS,
     Observation,
+    SilhouetteMesh,
     observe_masks,
 )
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
-from getagrip.kernels.silhouette import silhouettes, unpack
+from getagrip.geometry.kernels.silhouette import silhouettes, unpack
 from helpers.clips import box
 
 K = np.array([[200.0, 0.0, 80.0], [0.0, 210.0, 60.0], [0.0, 0.0, 1.0]])

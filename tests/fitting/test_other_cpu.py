@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_info
 
 from getagrip.clip import read_clip, write_clip
 from getagrip.geometry import se3
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.reconstruct import reconstruct
 from helpers.paths import import_path
 from helpers.scenes import SHORT, scene
 
@@ -27,7 +27,7 @@ import json
 import sys
 from threadpoolctl import threadpool_info
 from getagrip.clip import read_clip
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.reconstruct import reconstruct
 
 result = reconstruct(read_clip(sys.argv[1]))
 kernels = [one.get("architecture") for one in threadpool_info()]

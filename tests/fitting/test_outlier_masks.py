@@ -7,13 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.experiments.changes import displace_mask
-from getagrip.fitting.image_iou import MaskOverlap
+from getagrip.bench.inputs.perturbations import displace_mask
 from getagrip.fitting.motion import PosesInHand
 from getagrip.fitting.options import Options
-from getagrip.fitting.outlier_masks import OUTLIER_AREA_FRACTION, OUTLIER_MEDIAN_FACTOR, outlier_threshold
-from getagrip.fitting.predicted_silhouette import medoid_poses
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.fitting.stages.robust_masks import (
+    OUTLIER_AREA_FRACTION,
+    OUTLIER_MEDIAN_FACTOR,
+    MaskOverlap,
+    medoid_poses,
+    outlier_threshold,
+)
+from getagrip.reconstruct import reconstruct
 from helpers.scenes import SMALL, scene, scores
 
 WRONG = [4, 7]

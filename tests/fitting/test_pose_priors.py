@@ -12,15 +12,14 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, with_masks
 from getagrip.errors import InputError, UsageError
-from getagrip.fitting import pose_priors as priors
-from getagrip.fitting.initial_poses import initial_poses
-from getagrip.fitting.judge import uncalibrated_reason
-from getagrip.fitting.learn_priors import LearntGrasps, PosePriors, true_grasp_pose
 from getagrip.fitting.methods.all_frames import make_initial_poses
 from getagrip.fitting.methods.homan import object_tracks
 from getagrip.fitting.options import Init, Options, PriorsFile
-from getagrip.fitting.pose_priors import read_initial_poses, read_learnt, read_priors_folder
 from getagrip.fitting.problem import prepare_problem
+from getagrip.fitting.solver import initial_poses as priors
+from getagrip.fitting.solver.cluster_poses import LearntGrasps, PosePriors, true_grasp_pose
+from getagrip.fitting.solver.initial_poses import initial_poses, read_initial_poses, read_learnt, read_priors_folder
+from getagrip.fitting.stages.confidence import uncalibrated_reason
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.io.terminal import format_count

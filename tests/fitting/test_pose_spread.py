@@ -11,8 +11,8 @@ import pytest
 from getagrip.clip import with_masks
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
-from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem, prepare_problem
+from getagrip.fitting.stages.confidence import pose_spread
 from helpers.scenes import scene
 
 

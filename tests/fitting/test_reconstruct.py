@@ -12,11 +12,11 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from getagrip.clip import FrameMasks, Masks
 from getagrip.errors import GetagripError, InputError, UsageError
-from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import AMBIGUOUS_ENERGY_RATIO
+from getagrip.fitting.stages.robust_masks import image_iou
 from getagrip.geometry import se3
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.reconstruct import reconstruct
 from helpers.clips import small_clip
 from helpers.reconstructions import DEFAULT, found
 from helpers.scenes import SHORT, SMALL, scene, scores

@@ -11,7 +11,7 @@ from getagrip.clip import Clip, Masks, with_masks
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare_problem
-from getagrip.fitting.scale_check import scale_check
+from getagrip.fitting.stages.confidence import scale_check
 from getagrip.geometry.mesh import Mesh
 from helpers.scenes import SHORT, scene
 

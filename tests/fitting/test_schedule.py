@@ -7,8 +7,8 @@ from itertools import pairwise
 import pytest
 
 from getagrip.fitting.options import Options
-from getagrip.fitting.schedule import DEFAULT_SCHEDULE, THOROUGH_SCHEDULE
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.fitting.solver.search import DEFAULT_SCHEDULE, THOROUGH_SCHEDULE
+from getagrip.reconstruct import reconstruct
 from helpers.scenes import SHORT, scene
 
 

@@ -9,19 +9,29 @@ import numpy as np
 import pytest
 import trimesh
 
-from getagrip.datasets.synthetic.categories import SYNTHETIC_CATEGORIES
 from getagrip.fitting.energy import Quadratic
 from getagrip.fitting.energy.term import PosesInCamera
 from getagrip.fitting.motion import Fixed
 from getagrip.fitting.options import Options
-from getagrip.fitting.schedule import GLOBAL_ROTATIONS, LOCAL_ROTATIONS, Rotations, Schedule, Stage
-from getagrip.fitting.search import Search, drawn_rotations, explore_rotations, suppress_duplicates, within_factor
-from getagrip.fitting.solve import minimise
-from getagrip.fitting.surface import ObjectSurface
+from getagrip.fitting.problem import ObjectSurface
+from getagrip.fitting.solver.search import (
+    GLOBAL_ROTATIONS,
+    LOCAL_ROTATIONS,
+    Rotations,
+    Schedule,
+    Search,
+    Stage,
+    drawn_rotations,
+    explore_rotations,
+    suppress_duplicates,
+    within_factor,
+)
+from getagrip.fitting.solver.solve import minimise
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.metrics.surface_distance import signed_distance
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.metrics.contact import signed_distance
+from getagrip.reconstruct import reconstruct
+from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
 from helpers.clips import box
 from helpers.scenes import SMALL, scene, scores
 

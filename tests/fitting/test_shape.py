@@ -9,24 +9,28 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Masks, with_masks
-from getagrip.datasets.synthetic.deform import misfit as unlike
-from getagrip.datasets.synthetic.scene import ground_truth_masks, make_scene
 from getagrip.fitting.methods import all_frames
 from getagrip.fitting.methods.all_frames import coarse_energy, misfit_of, search_of
-from getagrip.fitting.misfit import relative_contour_error
 from getagrip.fitting.motion import Fixed, PosesInHand, Soft
 from getagrip.fitting.objective import mask_energy
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import FITTED_MESH_CONTACT_FACTOR, Problem, prepare_problem
-from getagrip.fitting.shape import MIN_DEFORMATION_DIAMETERS, MIN_MESH_MISFIT, fit_shape
-from getagrip.fitting.solve import evaluate, minimise
+from getagrip.fitting.solver.solve import evaluate, minimise
+from getagrip.fitting.stages.mesh_deformation import (
+    MIN_DEFORMATION_DIAMETERS,
+    MIN_MESH_MISFIT,
+    fit_shape,
+    relative_contour_error,
+)
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.warp import Warp
-from getagrip.pictures.shown import View
 from getagrip.provenance import Source, assumed
+from getagrip.reconstruct import reconstruct
+from getagrip.report.pictures.result_view import View
 from getagrip.result import read_result, write_result
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.synthetic.objects import misfit as unlike
+from getagrip.synthetic.scene import ground_truth_masks, make_scene
 from helpers.scenes import SMALL, scene, scores
 
 STRETCH = np.array([1.15, 0.88, 1.0])
@@ -103,7 +107,7 @@ def test_a_shape_that_is_nearly_the_meshs_own_is_believed_to_be(monkeypatch: pyt
     assert warp is not None
     deformed = warp.displacement(stretched(clip).mesh) / stretched(clip).mesh.diameter
     assert deformed > MIN_DEFORMATION_DIAMETERS
-    monkeypatch.setattr("getagrip.fitting.shape.MIN_DEFORMATION_DIAMETERS", 1.01 * deformed)
+    monkeypatch.setattr("getagrip.fitting.stages.mesh_deformation.MIN_DEFORMATION_DIAMETERS", 1.01 * deformed)
     assert shape_at_truth(stretched(clip), masks) is None
 
 

@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from getagrip.fitting.energy import PosesInCamera, Quadratic
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft
-from getagrip.fitting.solve import CURVATURE_FLOOR, evaluate, minimise, poses_in_camera
+from getagrip.fitting.solver.solve import CURVATURE_FLOOR, evaluate, minimise, poses_in_camera
 from getagrip.geometry import se3
 from getagrip.least_squares import DampingRules
 from getagrip.result import Status

@@ -9,10 +9,9 @@ import pytest
 from numpy import ndarray
 
 from getagrip.fitting.energy import PosesInCamera, Quadratic, Term
-from getagrip.fitting.energy.interaction import InteractionTerm
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, vertex_moments
+from getagrip.fitting.energy.homan_terms import InteractionTerm, SmoothnessTerm, vertex_moments
 from getagrip.fitting.motion import Free
-from getagrip.fitting.solve import minimise
+from getagrip.fitting.solver.solve import minimise
 from getagrip.least_squares import DampingRules
 from helpers.terms import N, random_poses, some_term
 

@@ -10,10 +10,10 @@ from numpy import ndarray
 
 from getagrip.checks.evidence import Glitches
 from getagrip.clip import Clip
+from getagrip.fitting.hand.refine_hand import frames_without_glitch, repair_hand
 from getagrip.fitting.options import Options
-from getagrip.fitting.tracker_glitches import frames_without_glitch, repair_hand
 from getagrip.geometry import se3
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.reconstruct import reconstruct
 from helpers.scenes import SHORT, scene
 
 FRAMES = 40

@@ -10,15 +10,11 @@ import pytest
 import getagrip
 from getagrip.checks import RESULT_CHECKS, Evidence, run_checks
 from getagrip.clip import Clip, Masks, with_masks
-from getagrip.datasets.synthetic.categories import SYNTHETIC_CATEGORIES
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.energy import PosesInCamera, no_bound
-from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods.all_frames import coarse_energy
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import prepare_problem
-from getagrip.fitting.surface import ObjectSurface
-from getagrip.fitting.usual import (
+from getagrip.fitting.problem import ObjectSurface, prepare_problem
+from getagrip.fitting.solver.category_prior import (
     SIDE_REFLECTIONS,
     SizeTerm,
     UprightTerm,
@@ -28,9 +24,12 @@ from getagrip.fitting.usual import (
     opening_angle,
     unmeasured_kind,
 )
+from getagrip.fitting.solver.initial_poses import initial_poses
 from getagrip.geometry import se3
 from getagrip.provenance import Source, assumed
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.reconstruct import reconstruct
+from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
+from getagrip.synthetic.scene_options import SceneOptions
 from helpers.clips import small_clip
 from helpers.scenes import SHORT, scene
 from helpers.terms import B, N, moved, random_poses

@@ -29,13 +29,13 @@ import numpy as np
 from fuzz.troubles import RARE, TROUBLES
 from getagrip.checks import MIN_MEAN_IOU
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import GetagripError
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
+from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction, read_result, write_result
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.synthetic.scene import synthesise
+from getagrip.synthetic.scene_options import SceneOptions
 
 CATEGORIES = ("mug", "can", "plate", "scissors", "box")
 SECONDS, MEGABYTES = 120.0, 3000

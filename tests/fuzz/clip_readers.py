@@ -11,22 +11,22 @@ import numpy as np
 import trimesh
 
 from fuzz.reader import Reader
-from getagrip.annotate import labels, tasks
-from getagrip.annotate.store import MarkStore
-from getagrip.batch.entries import LedgerEntry
-from getagrip.batch.ledger import Ledger
-from getagrip.clip import Joint, find_masks, input_sha256, read_clip, read_masks, segment_files, write_clip
-from getagrip.clip.data import World
+from getagrip.batch.ledger import Ledger, LedgerEntry
+from getagrip.cli import new_clip
+from getagrip.clip import Joint, find_masks, input_sha256, read_clip, read_masks, write_clip
+from getagrip.clip import read as read_module
+from getagrip.clip.clip import World
 from getagrip.clip.masks import read_observed
-from getagrip.clip.reading import read_header
-from getagrip.commands import own_mesh
-from getagrip.evaluation.meshes import read_meshes
-from getagrip.fitting.pose_priors import read_learnt, read_priors_folder
+from getagrip.clip.object_poses import read_pose_file
+from getagrip.clip.read import read_header
+from getagrip.fitting.solver.initial_poses import read_learnt, read_priors_folder
 from getagrip.geometry.mesh_files import parse_mesh, read_mesh
-from getagrip.grasps import lists
 from getagrip.io import arrays
-from getagrip.object_poses.files import read_pose_file
+from getagrip.metrics.evaluate.external import read_meshes
 from getagrip.result import read_result, write_result
+from getagrip.stable_grasps import grasp_lists as stable_grasps_grasp_lists
+from getagrip.studio.store import labels, tasks
+from getagrip.studio.store.mark_store import MarkStore
 from helpers.clips import box, small_clip
 from helpers.true_result import true_result
 
@@ -65,7 +65,7 @@ def mesh(suffix: str) -> Reader:
         trimesh.Trimesh(shape.vertices, shape.faces).export(folder / f"a{suffix}")
 
     def read(folder: Path) -> None:
-        own_mesh.read_own_mesh(own_mesh.MeshOptions(folder / f"a{suffix}", size_mm=100.0))
+        new_clip.read_own_mesh(new_clip.MeshOptions(folder / f"a{suffix}", size_mm=100.0))
         parse_mesh(folder / f"a{suffix}")
         read_mesh(folder / f"a{suffix}")
 
@@ -145,8 +145,10 @@ TIMELINE = {
 
 def grasp_lists(folder: Path) -> None:
     """Lists of grasps in each format."""
-    lists.write_listed_grasps(
-        folder / "a.json", [lists.ListedGrasp("s01--box--left", "left", "box", "3", "9", 1.5)], {"tau": 0.5}
+    stable_grasps_grasp_lists.write_listed_grasps(
+        folder / "a.json",
+        [stable_grasps_grasp_lists.ListedGrasp("s01--box--left", "left", "box", "3", "9", 1.5)],
+        {"tau": 0.5},
     )
     (folder / "b.json").write_text(json.dumps([GRASP]))
     (folder / "c.csv").write_text(f"{','.join(GRASP)}\n{','.join(map(str, GRASP.values()))}\n")
@@ -156,7 +158,7 @@ def grasp_lists(folder: Path) -> None:
 def use_list(path: Path) -> None:
     """What is asked of a list."""
     names = tuple(f"{n:05d}" for n in range(20))
-    for grasp in lists.read_listed_grasps(path).grasps:
+    for grasp in stable_grasps_grasp_lists.read_listed_grasps(path).grasps:
         grasp.is_of("s01--box--left", "left", "box")
         for frames, origin in ((names, None), (names, 3), (("a", "b"), None)):
             grasp.positions(frames, origin)
@@ -195,7 +197,7 @@ def poses(folder: Path) -> None:
 
 def learnt(folder: Path) -> None:
     """Learnt poses, and a folder of the authors'."""
-    from getagrip.fitting.learn_priors import LearntGrasps, true_grasp_pose
+    from getagrip.fitting.solver.cluster_poses import LearntGrasps, true_grasp_pose
 
     clips = [replace(small_clip(seed=n)[0], name=f"c{n}", provenance={"subject": "ann"}) for n in range(2)]
     LearntGrasps(tuple(true_grasp_pose(clip) for clip in clips), k=10).write(folder / "poses.npz")
@@ -225,7 +227,7 @@ def segments(folder: Path) -> None:
 
 
 def use_segments(folder: Path) -> None:
-    segment_files.read_segment_list(folder / "segments.json", ["a"]).at([f"{n:04d}" for n in range(8)], has_world=True)
+    read_module.read_segment_list(folder / "segments.json", ["a"]).at([f"{n:04d}" for n in range(8)], has_world=True)
 
 
 READERS: dict[str, Reader] = {

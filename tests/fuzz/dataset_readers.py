@@ -13,21 +13,21 @@ import cv2
 import numpy as np
 
 from fuzz.reader import Reader, mano_folder
-from getagrip.annotate import tasks
-from getagrip.clip.video import video_frames, video_info
-from getagrip.datasets.arctic import Arctic
-from getagrip.datasets.cutting import TrackedDataset
-from getagrip.datasets.dataset import Dataset
-from getagrip.datasets.dexycb.reader import DexYcb
-from getagrip.datasets.epic import visor
-from getagrip.datasets.epic.images import Frames
-from getagrip.datasets.epic.reader import EpicGrasps
-from getagrip.datasets.epic.tables import read_actions
-from getagrip.datasets.ho3d import Ho3d
-from getagrip.datasets.hoi4d import Hoi4d
-from getagrip.datasets.hot3d.reader import Hot3d
-from getagrip.datasets.track_files import Tracks
 from getagrip.io import arrays
+from getagrip.readers.datasets.arctic import Arctic
+from getagrip.readers.datasets.cutting import TrackedDataset
+from getagrip.readers.datasets.dataset import Dataset
+from getagrip.readers.datasets.dexycb.dexycb_clips import DexYcb
+from getagrip.readers.datasets.epic import visor
+from getagrip.readers.datasets.epic.epic_grasps import EpicGrasps
+from getagrip.readers.datasets.epic.epic_images import Frames
+from getagrip.readers.datasets.epic.epic_tables import read_actions
+from getagrip.readers.datasets.ho3d import Ho3d
+from getagrip.readers.datasets.hoi4d import Hoi4d
+from getagrip.readers.datasets.hot3d.hot3d_clips import Hot3d
+from getagrip.readers.datasets.track_files import Tracks
+from getagrip.readers.video import video_frames, video_info
+from getagrip.studio.store import tasks
 from helpers import dexycb_files, epic_files, tracks_files, visor_files
 from helpers.arctic_files import write_arctic
 from helpers.ho3d_files import write_ho3d

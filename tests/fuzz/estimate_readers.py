@@ -12,23 +12,23 @@ import numpy as np
 import pytest
 
 from fuzz.reader import Reader, mano_folder
-from getagrip.cameras import read_camera_path
-from getagrip.clip.mask_request import MaskRequest
-from getagrip.clip.mask_sources import open_masks
 from getagrip.hands import mano
-from getagrip.hands.trackers import Request, Tracker
-from getagrip.hands.trackers import read_tracked_hands as read_hands
-from getagrip.hands.trackers.dynhamr import DynHaMR
-from getagrip.hands.trackers.egohandkit import EgoHandKit
-from getagrip.hands.trackers.egovision import EgoVision
-from getagrip.hands.trackers.frankmocap import FrankMocap
-from getagrip.hands.trackers.hamer import HaMeR, WiLoR
-from getagrip.hands.trackers.hawor import HaWoR
-from getagrip.hands.trackers.joints import Joints, Soma
-from getagrip.hands.trackers.landmarks import Landmarks
-from getagrip.hands.trackers.mano_parameters import ManoParameters
-from getagrip.hands.trackers.v2d import V2D
 from getagrip.io import arrays
+from getagrip.readers.cameras import read_camera_path
+from getagrip.readers.masks.mask_request import MaskRequest
+from getagrip.readers.masks.mask_sources import open_masks
+from getagrip.readers.trackers import Request, Tracker
+from getagrip.readers.trackers import read_tracked_hands as read_hands
+from getagrip.readers.trackers.dynhamr import DynHaMR
+from getagrip.readers.trackers.egohandkit import EgoHandKit
+from getagrip.readers.trackers.egovision import EgoVision
+from getagrip.readers.trackers.frankmocap import FrankMocap
+from getagrip.readers.trackers.hamer import HaMeR, WiLoR
+from getagrip.readers.trackers.hawor import HaWoR
+from getagrip.readers.trackers.joints import Joints, Soma
+from getagrip.readers.trackers.landmarks_2d import Landmarks
+from getagrip.readers.trackers.mano_parameters import ManoParameters
+from getagrip.readers.trackers.v2d import V2D
 from helpers import camera_files, estimator_files, mask_files, other_estimators
 from helpers.estimator_files import Known, hamer_record, write_npz
 

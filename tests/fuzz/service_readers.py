@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 
 from fuzz.reader import SHARED, Reader
-from getagrip.annotate.project import Project
-from getagrip.annotate.server import CHANGE_ROUTES
-from getagrip.annotate.store import MarkStore
-from getagrip.annotate.tasks import Task
-from getagrip.batch.plan import ClipPlan
-from getagrip.batch.streamed import UNREAD_CLIP_FILES
+from getagrip.batch.clips import ClipPlan
+from getagrip.batch.job import UNREAD_CLIP_FILES
 from getagrip.clip import read_clip, write_clip
 from getagrip.errors import GetagripError, UsageError
 from getagrip.io import files
 from getagrip.io.storage import RemotePath
+from getagrip.studio.project import Project
+from getagrip.studio.server import CHANGE_ROUTES
+from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.tasks import Task
 from helpers.clips import small_clip
 
 CLIPS = RemotePath("s3://bucket/clips")

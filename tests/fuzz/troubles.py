@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from getagrip.bench.inputs.wrong_inputs import INPUT_MISTAKES, Mistake
 from getagrip.clip import Clip, Masks
-from getagrip.experiments.wrong_inputs import INPUT_MISTAKES, Mistake
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import MAX_MESH_EXTENT_M, MIN_MESH_EXTENT_M

@@ -11,20 +11,21 @@ import numpy as np
 
 from fuzz.child import Read
 from fuzz.reader import SHARED, Reader
-from getagrip.clip import Clip, Masks, Segment, input_sha256, read_clip, read_masks, segment_files, write_clip
-from getagrip.clip.data import World
-from getagrip.clip.reading import read_header
-from getagrip.commands.hand_file import HandFile
-from getagrip.evaluation import evaluate
-from getagrip.evaluation.results import read_result_clip_masks
-from getagrip.experiments.hand_sources import HandSource, WithHands
+from getagrip.bench.job import HandSource, WithHands
+from getagrip.cli.import_hands import HandFile
+from getagrip.clip import Clip, Masks, Segment, input_sha256, read_clip, read_masks, write_clip
+from getagrip.clip import read as read_module
+from getagrip.clip.clip import World
+from getagrip.clip.read import read_header
 from getagrip.fitting.options import Options
 from getagrip.io import arrays
-from getagrip.pages.report import write_page
-from getagrip.pictures.shown import View
+from getagrip.metrics.evaluate import evaluate
+from getagrip.metrics.evaluate.results import read_result_clip_masks
+from getagrip.reconstruct import reconstruct
+from getagrip.report.pages.result_page import write_page
+from getagrip.report.pictures.result_view import View
 from getagrip.result import SegmentResult, read_result_record, write_result
-from getagrip.segmentation.found import find_segments
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.timelines.detect.detect_segments import find_segments
 from helpers.clips import small_clip
 from helpers.true_result import true_result
 
@@ -69,16 +70,16 @@ def listed(folder: Path) -> None:
     """Segments beside a clip."""
     clip, masks = uncut()
     write_clip(replace(clip, world=None, segments=()), masks, folder / "clip")
-    given = segment_files.SegmentList.of(clip, clip.segments, "marked by ann", "as ann states")
+    given = read_module.SegmentList.of(clip, clip.segments, "marked by ann", "as ann states")
     (folder / "segments.json").write_text(json.dumps({"small": given.fields, "other": given.fields}))
 
 
 def use_listed(folder: Path) -> None:
-    given = segment_files.read_segment_list(folder / "segments.json", ["small"])
-    clip = segment_files.add_segments(read_clip(folder / "clip"), given)
+    given = read_module.read_segment_list(folder / "segments.json", ["small"])
+    clip = read_module.add_segments(read_clip(folder / "clip"), given)
     with TemporaryDirectory(dir=SHARED) as out:
         header = replace(read_header(folder / "clip"), folder=Path(out))
-        assert segment_files.write_clip_segments(header, given) == clip.segments
+        assert read_module.write_clip_segments(header, given) == clip.segments
 
 
 def report(folder: Path) -> None:

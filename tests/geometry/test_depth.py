@@ -7,8 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.geometry import se3
-from getagrip.geometry.depth import MIN_ZBUFFER_DEPTH_M, depth_and_face, interpolate_vertex_values
-from getagrip.geometry.render import render_rgb, true_masks
+from getagrip.geometry.rasterize import (
+    MIN_ZBUFFER_DEPTH_M,
+    depth_and_face,
+    interpolate_vertex_values,
+    render_rgb,
+    true_masks,
+)
 
 SIZE = (48, 36)
 K = np.array([[40.0, 0.0, 25.0], [0.0, 42.0, 17.0], [0.0, 0.0, 1.0]])

@@ -96,8 +96,8 @@ def test_a_quarter_turn_turns_the_picture_clockwise():
 @needs(HOT3D)
 @pytest.mark.slow
 def test_objects_of_hot3d_fall_into_the_published_boxes():
-    from getagrip.datasets.hot3d.reader import Hot3dObjects
-    from getagrip.datasets.hot3d.recording import find_hot3d_recordings, read_recording
+    from getagrip.readers.datasets.hot3d.hot3d_clips import Hot3dObjects
+    from getagrip.readers.datasets.hot3d.hot3d_files import find_hot3d_recordings, read_recording
 
     objects = Hot3dObjects.below(HOT3D)
     for (name, files), stream in zip(find_hot3d_recordings(HOT3D).items(), ("1201-1", "214-1"), strict=True):

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from getagrip.geometry import glb
-from getagrip.geometry.glb import parse_glb
-from getagrip.geometry.mesh_files import read_mesh
+from getagrip.geometry.mesh_files import glb, read_mesh
+from getagrip.geometry.mesh_files.glb import parse_glb
 
 PART: dict[str, Any] = {"attributes": {"POSITION": 0}, "indices": 1}
 POINTS: dict[str, Any] = {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"}

@@ -15,12 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip.errors import UsageError
-from getagrip.geometry import polygons, se3
-from getagrip.geometry.mesh import Mesh, decimate, edge_table, merge_vertices, vertex_normals
-from getagrip.geometry.mesh_files import MESH_SUFFIXES, read_mesh, write_mesh
-from getagrip.geometry.obj import parse_obj
-from getagrip.geometry.subdivide import subdivide_parts
-from getagrip.metrics.surface_distance import signed_distance
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh, decimate, edge_table, merge_vertices, subdivide_parts, vertex_normals
+from getagrip.geometry.mesh_files import MESH_SUFFIXES, obj, read_mesh, write_mesh
+from getagrip.geometry.mesh_files.obj import parse_obj
+from getagrip.metrics.contact import signed_distance
 from helpers.clips import box
 
 triangles = st.permutations(range(6)).map(lambda order: order[:3])
@@ -242,7 +241,7 @@ def test_an_obj_file_says_what_its_lines_say(data: st.DataObject) -> None:
         corner = data.draw(st.sampled_from(["{}", "{}/1", "{}//1", "{}/1/1"]))
         from_end = len(points) if data.draw(st.booleans()) else -1
         lines.append(" f\t" + " ".join(corner.format(i - from_end) for i in polygon))
-        cut = polygons.triangulate_polygons(Path(), np.array(points), np.array([len(polygon)]), np.array(polygon))
+        cut = obj.triangulate_polygons(Path(), np.array(points), np.array([len(polygon)]), np.array(polygon))
         expected += cut.tolist()
     vertices, faces = parse_obj(Path("m.obj"), data.draw(st.sampled_from(["\n", "\r\n"])).join(lines).encode())
     assert vertices.tolist() == points

@@ -10,9 +10,8 @@ import pytest
 from numpy import ndarray
 
 from getagrip.errors import InputError
-from getagrip.geometry import polygons
-from getagrip.geometry.mesh_files import parse_mesh, read_mesh
-from getagrip.geometry.polygons import triangulate_polygons
+from getagrip.geometry.mesh_files import obj, parse_mesh, read_mesh
+from getagrip.geometry.mesh_files.obj import triangulate_polygons
 
 PATH = Path("m.obj")
 U = 0.03 * np.array([[0, 0], [3, 0], [3, 3], [2, 3], [2, 1], [1, 1], [1, 3], [0, 3]])
@@ -70,7 +69,7 @@ def test_polygons_that_take_too_long_are_refused(monkeypatch: pytest.MonkeyPatch
     x = np.arange(100.0)
     points = np.column_stack([np.r_[x, x[-1], 0], np.r_[10 * (x % 2), -1, -1], np.zeros(102)])[::-1]
     assert areas(points, cut(points), np.array([0.0, 0.0, 1.0])).sum() == pytest.approx(99 * 6)
-    monkeypatch.setattr(polygons, "MAX_EAR_TESTS", 100)
+    monkeypatch.setattr(obj, "MAX_EAR_TESTS", 100)
     with pytest.raises(InputError, match="triangulate the mesh first"):
         cut(points)
 

@@ -8,8 +8,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.geometry.mesh import Mesh
-from getagrip.geometry.subdivide import edge_length, subdivide_surface
+from getagrip.geometry.mesh import Mesh, edge_length, subdivide_surface
 
 BOX = trimesh.creation.box((0.3, 0.1, 0.02))
 MESH = Mesh(np.asarray(BOX.vertices), np.asarray(BOX.faces))

@@ -11,11 +11,10 @@ from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic
-from getagrip.hands.clicked_hands import MIN_CLICKED_JOINTS, ClickedHands, hands_from_clicks
-from getagrip.hands.fit import Chains, joints_and_jacobian
+from getagrip.hands.fit_joints import Chains, PosePrior, joints_and_jacobian
+from getagrip.hands.from_2d.clicks import MIN_CLICKED_JOINTS, ClickedHands, hands_from_clicks
+from getagrip.hands.from_2d.rigid_pnp import Clicks, click_equations, project_hand_joints
 from getagrip.hands.model import Side
-from getagrip.hands.placed_hands import Clicks, click_equations, project_hand_joints
-from getagrip.hands.pose_prior import PosePrior
 
 K = np.array([[1500.0, 0.0, 960.0], [0.0, 1500.0, 540.0], [0.0, 0.0, 1.0]])
 KEYS = (0, 8, 20, 31, 40)

@@ -9,10 +9,9 @@ from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic
-from getagrip.hands.fit import Chains, joints_and_jacobian
-from getagrip.hands.lifted_hands import MAX_LANDMARK_GAP_FRAMES, LiftedHands, hands_from_landmarks
+from getagrip.hands.fit_joints import Chains, PosePrior, joints_and_jacobian
+from getagrip.hands.from_2d.landmarks import MAX_LANDMARK_GAP_FRAMES, LiftedHands, hands_from_landmarks
 from getagrip.hands.model import Side
-from getagrip.hands.pose_prior import PosePrior
 
 K = np.array([[1000.0, 0.0, 360.0], [0.0, 1000.0, 640.0], [0.0, 0.0, 1.0]])
 T = 24

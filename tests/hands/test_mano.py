@@ -15,7 +15,7 @@ from getagrip.clip import FINGERS
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands import generic, mano
-from getagrip.hands.fit import fit_joints
+from getagrip.hands.fit_joints import fit_joints
 from getagrip.hands.model import PALM_REGIONS, PARENTS, HandModel, Side
 from helpers.mano_files import fake_mano, python2
 

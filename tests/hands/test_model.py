@@ -12,7 +12,7 @@ from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.hands import generic
-from getagrip.hands.generic_skeleton import (
+from getagrip.hands.generic import (
     BONE_LENGTHS_MM,
     JOINT_GIRTHS_MM,
     MALE_TO_MEAN_SIZE,

@@ -9,7 +9,7 @@ from getagrip.clip import FINGERS
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands import umetrack
-from getagrip.hands.generic_skeleton import MANO_WRIST_M
+from getagrip.hands.generic import MANO_WRIST_M
 from getagrip.hands.model import PALM_REGIONS, SIDE_MIRROR, root_transform
 from helpers.paths import DATA, needs
 from helpers.umetrack_profile import profile

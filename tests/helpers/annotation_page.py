@@ -8,10 +8,10 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from getagrip.annotate.project import Project
-from getagrip.annotate.server import StudioServer
-from getagrip.annotate.store import MarkStore
-from getagrip.annotate.tasks import Task
+from getagrip.studio.project import Project
+from getagrip.studio.server import StudioServer
+from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.tasks import Task
 from helpers.browser import expect
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from getagrip.geometry import se3
-from getagrip.hands.fit import JOINT_ORDERS
+from getagrip.hands.fit_joints import JOINT_ORDERS
 from helpers.recorded_joints import FRAMES, recording, write_parts
 
 SEQUENCE = "box_use_01"

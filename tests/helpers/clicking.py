@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from getagrip.annotate.project import Project
-from getagrip.annotate.store import MarkStore
-from getagrip.annotate.tasks import Task
-from getagrip.clip.segments import fill_polygons
-from getagrip.commands.annotate import MARKS_DATABASE
+from getagrip.cli.annotate import MARKS_DATABASE
+from getagrip.readers.masks.mask_regions import fill_polygons
+from getagrip.studio.project import Project
+from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.tasks import Task
 from helpers.labelled_scene import HEIGHT, WIDTH, circle, joints
 
 VIDEO = "scene"

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from getagrip.clip.writing import write_hand
+from getagrip.clip.write import write_hand
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.hands import generic

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray
 
-from getagrip.datasets.synthetic import shapes
-from getagrip.fitting.energy.depth import DepthErrors, DepthSamples, DepthTerm, Solid
+from getagrip.fitting.energy.depth_term import DepthErrors, DepthSamples, DepthTerm, Solid
 from getagrip.geometry import se3
-from getagrip.geometry.depth import depth_and_face
+from getagrip.geometry.rasterize import depth_and_face
+from getagrip.synthetic import objects
 from helpers.clips import box
 
 SIDE = 32
@@ -16,7 +16,7 @@ K = np.array([[40.0, 0.0, 16.2], [0.0, 41.0, 15.7], [0.0, 0.0, 1.0]])
 N = 3
 MIDDLE = np.array([0.01, -0.02, 0.03])
 """Of the hand, in its frame [m]."""
-OBJECT, HAND = shapes.mug(), box(0.09, 0.05, 0.08)
+OBJECT, HAND = objects.mug(), box(0.09, 0.05, 0.08)
 METRIC = DepthErrors(noise=0.004, clip=0.004, frame=0.002, relief=0.05, apart=0.005, warp=0.003)
 FREE = DepthErrors(noise=0.004, clip=1.0, frame=0.02, relief=0.15, apart=0.008, warp=0.01)
 

@@ -5,7 +5,7 @@ import trimesh
 
 from getagrip.geometry import se3
 from getagrip.hands import generic
-from getagrip.hands.fit import JOINT_ORDERS
+from getagrip.hands.fit_joints import JOINT_ORDERS
 
 SUBJECT, SEQUENCE, HELD, OTHER = "20200709-subject-01", "20200709_141754", "025_mug", "003_cracker_box"
 NAME = f"{SUBJECT}--{SEQUENCE}--{HELD}"

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from getagrip.datasets.cutting import cut_into_grasps
-from getagrip.datasets.dataset import clips
-from getagrip.datasets.dexycb.reader import GRASPS_WITHIN_10_MM, DexYcb
+from getagrip.readers.datasets.cutting import cut_into_grasps
+from getagrip.readers.datasets.dataset import clips
+from getagrip.readers.datasets.dexycb.dexycb_clips import GRASPS_WITHIN_10_MM, DexYcb
 from helpers.dexycb_files import (
     SERIALS,
 )

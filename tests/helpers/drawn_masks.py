@@ -9,12 +9,11 @@ from numpy import ndarray
 
 from getagrip.clip import Masks
 from getagrip.fitting.energy import PosesInCamera
-from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
-from getagrip.fitting.observation import MASK_CROP_SIZE_PX, observe_masks
+from getagrip.fitting.energy.mask import MASK_CROP_SIZE_PX, MaskTerm, SilhouetteMesh, observe_masks
 from getagrip.geometry import se3
+from getagrip.geometry.kernels import silhouette
+from getagrip.geometry.kernels.silhouette import pack, silhouettes, unpack
 from getagrip.geometry.mesh import Mesh
-from getagrip.kernels import silhouette
-from getagrip.kernels.silhouette import pack, silhouettes, unpack
 from helpers.parts import callable_part
 from helpers.terms import MESHES
 

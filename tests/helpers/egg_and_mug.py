@@ -9,10 +9,10 @@ import pytest
 import trimesh
 
 from getagrip.clip import FINGERS, Clip, HandTrack, Masks, Truth, input_sha256, write_clip
-from getagrip.datasets.synthetic import shapes
 from getagrip.geometry import se3
-from getagrip.geometry.depth import render_coverage
+from getagrip.geometry.rasterize import render_coverage
 from getagrip.result import Candidates, Reconstruction, Status, write_result
+from getagrip.synthetic import objects
 
 FRAMES = 5
 
@@ -34,7 +34,7 @@ def egg_and_mug() -> tuple[Clip, Masks]:
         frames=tuple(f"{n:06d}" for n in range(FRAMES)),
         size=(320, 240),
         K=np.tile([[400.0, 0.0, 160.0], [0.0, 400.0, 120.0], [0.0, 0.0, 1.0]], (FRAMES, 1, 1)),
-        mesh=shapes.mug(),
+        mesh=objects.mug(),
         scale="known",
         hand=HandTrack(vertices, np.asarray(egg.faces), T_cam_hand, {f: np.array([n]) for n, f in enumerate(FINGERS)}),
         truth=Truth(T_cam_hand @ T_hand_obj, 1.0, T_cam_hand, vertices),

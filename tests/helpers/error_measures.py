@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.datasets.synthetic.noise import DrawnHandErrors
+from getagrip.synthetic.noise import DrawnHandErrors
 
 OUTSIDE = 4.0
 """Distance of an outlier's rotation from the clip's median, in units of the usual jitter about one axis."""

@@ -13,8 +13,8 @@ from numpy import ndarray
 from getagrip.geometry import se3
 from getagrip.hands import generic, mano
 from getagrip.hands.model import SIDE_MIRROR, Side, mirrored, mirrored_pose
-from getagrip.hands.trackers.estimates import mirror_rotation, vitdet_side
 from getagrip.io import arrays
+from getagrip.readers.trackers.estimates import mirror_rotation, vitdet_side
 from helpers.mano_files import fake_mano, python2
 
 SIZE = (640, 480)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy import ndarray
 
 from getagrip.clip import Clip
-from getagrip.fitting import pose_priors as priors
-from getagrip.fitting.learn_priors import learn_pose_priors, true_grasp_pose
 from getagrip.fitting.options import Options, PriorsFile
+from getagrip.fitting.solver import initial_poses as priors
+from getagrip.fitting.solver.cluster_poses import learn_pose_priors, true_grasp_pose
 from getagrip.geometry import se3
 from helpers.clips import small_clip
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from getagrip.geometry import se3
 from getagrip.hands import generic
-from getagrip.hands.fit import JOINT_ORDERS
+from getagrip.hands.fit_joints import JOINT_ORDERS
 from getagrip.hands.mano import load
 from helpers.held_ball import BETAS, FRAMES, ball, bent, global_motion, motion
 

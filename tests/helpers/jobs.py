@@ -9,10 +9,8 @@ from functools import partial
 from pathlib import Path
 
 from getagrip.batch.engine import Engine
-from getagrip.batch.entries import LedgerEntry
-from getagrip.batch.executor import Start
-from getagrip.batch.ledger import Ledger
-from getagrip.batch.processes import Processes
+from getagrip.batch.executor import Processes, Start
+from getagrip.batch.ledger import Ledger, LedgerEntry
 
 
 def work(job: int) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from getagrip.annotate.keyframes import KeyFrame
+from getagrip.studio.store.labels import KeyFrame
 from helpers.annotation_page import Served
 from helpers.browser import expect, until
 from helpers.labelled_scene import circle, joints

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.dataset import Dataset, Draft, Missing, Note
 from getagrip.errors import InputError
+from getagrip.readers.datasets.dataset import Dataset, Draft, Missing, Note
 from helpers.clips import small_clip
 
 

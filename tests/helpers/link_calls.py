@@ -17,21 +17,21 @@ import pytest
 import trimesh
 
 from getagrip import cli
-from getagrip.annotate import labels
+from getagrip.bench.figures import FIGURES
+from getagrip.bench.segments import TIME_DIRECTIONS
+from getagrip.cli.datasets import DATASETS
 from getagrip.clip import Clip, Masks, Segment, input_sha256, read_clip, write_clip
-from getagrip.commands.datasets import DATASETS
-from getagrip.datasets.dataset import Draft
-from getagrip.datasets.ho3d import Ho3dEvaluation
-from getagrip.datasets.synthetic.scene import clip_name
-from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.experiments.segment_trials import TIME_DIRECTIONS
 from getagrip.fitting.options import Options
-from getagrip.grasps.cut import as_listed
 from getagrip.hands import generic
 from getagrip.io import arrays
-from getagrip.pictures.figures import FIGURES
+from getagrip.readers.datasets.dataset import Draft
+from getagrip.readers.datasets.ho3d import Ho3dEvaluation
 from getagrip.result import Reconstruction, write_result
-from getagrip.segmentation.found import DetectedSegment, DetectedSegments
+from getagrip.stable_grasps.find import as_listed
+from getagrip.studio.store import labels
+from getagrip.synthetic.scene import clip_name
+from getagrip.synthetic.scene_options import SceneOptions
+from getagrip.timelines.detect.detect_segments import DetectedSegment, DetectedSegments
 from helpers.clip_inputs import AHEAD, K, everything, write_inputs
 from helpers.clips import small_clip
 from helpers.labelled_scene import circle, joints, write_scene
@@ -148,21 +148,21 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
     by = {"ours": {"segments": [in_a_timeline], "jumps": [], "seconds": 0.1}}
     parsed = cache(cli._parse_command)
     places = {
-        "annotate.server.StudioServer.serve_forever": ended,
+        "studio.server.StudioServer.serve_forever": ended,
         "compiling.compile_once": lambda *_: None,
-        "cli._parse_command": lambda words: parsed(tuple(words)),
-        "datasets.synthetic.scene_options.DEMO_SCENE_OPTIONS": SHORT,
-        "commands.doctor._smoke_test": lambda: None,
-        "landmarks.load": lambda _: SceneNets(),
-        "datasets.synthetic.scene.synthesise": made,
-        "experiments.plots.ABLATION_PLOT_METRICS": ("iou",),
-        "experiments.segment_trials._find_in_both_directions": lambda _: dict.fromkeys(TIME_DIRECTIONS, spans),
-        "experiments.timeline_trials._score_noise_level": lambda *_: {"category": "box", "by": by},
-        "segmentation.found.find_segments": found,
-        "timelines.reconstruct.reconstruct": fitted,
-        "pages.server.ViewerServer.serve_forever": ended,
-        "film._overlay_and_turned_frames": lambda _: iter(np.zeros((2, 576, 1080, 3), np.uint8)),
-        "pictures.report.report_figure": drawn,
+        "cli.main._parse_command": lambda words: parsed(tuple(words)),
+        "synthetic.scene_options.DEMO_SCENE_OPTIONS": SHORT,
+        "cli.doctor._smoke_test": lambda: None,
+        "studio.hands.load": lambda _: SceneNets(),
+        "synthetic.scene.synthesise": made,
+        "bench.comparison.ABLATION_PLOT_METRICS": ("iou",),
+        "bench.segments._find_in_both_directions": lambda _: dict.fromkeys(TIME_DIRECTIONS, spans),
+        "bench.timelines._score_noise_level": lambda *_: {"category": "box", "by": by},
+        "timelines.detect.detect_segments.find_segments": found,
+        "reconstruct.reconstruct": fitted,
+        "report.pages.viewer.ViewerServer.serve_forever": ended,
+        "report.film._overlay_and_turned_frames": lambda _: iter(np.zeros((2, 576, 1080, 3), np.uint8)),
+        "report.pictures.result_picture.report_figure": drawn,
     }
     for place, trifle in places.items():
         monkeypatch.setattr(f"getagrip.{place}", trifle)

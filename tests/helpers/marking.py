@@ -5,7 +5,7 @@ from __future__ import annotations
 import uuid
 from typing import Any
 
-from getagrip.annotate.project import Project
+from getagrip.studio.project import Project
 
 VIDEO = "P01_101"
 

@@ -12,8 +12,8 @@ from numpy import ndarray
 
 from getagrip.geometry import se3
 from getagrip.hands.model import SIDE_MIRROR
-from getagrip.hands.trackers.dynhamr import mano_root_joint
-from getagrip.hands.trackers.estimates import mirror_rotation
+from getagrip.readers.trackers.dynhamr import mano_root_joint
+from getagrip.readers.trackers.estimates import mirror_rotation
 from helpers.estimator_files import FRAMES, SIZE, K, Known, write_npz
 
 FOCAL, CENTRE = 900.0, np.array(SIZE) / 2.0

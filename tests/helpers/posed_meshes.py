@@ -6,12 +6,12 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.datasets.synthetic import shapes
 from getagrip.fitting.energy.mask import SilhouetteMesh
 from getagrip.geometry import se3
+from getagrip.geometry.kernels import silhouette
+from getagrip.geometry.kernels.silhouette import N_COUNTER_BITS
 from getagrip.geometry.mesh import Mesh
-from getagrip.kernels import silhouette
-from getagrip.kernels.silhouette import N_COUNTER_BITS
+from getagrip.synthetic import objects
 from helpers.clips import box
 from helpers.parts import callable_part
 
@@ -47,7 +47,7 @@ def two_boxes() -> Mesh:
 
 MESHES = {
     "box": box(0.1, 0.06, 0.04),
-    "mug": shapes.mug(),
+    "mug": objects.mug(),
     "two boxes": two_boxes(),
     "sheet": sheet(),
     "soup": soup(3),

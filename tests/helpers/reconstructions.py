@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from functools import cache
 
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.options import Options
+from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.synthetic.scene_options import SceneOptions
 from helpers.scenes import SMALL, scene
 
 DEFAULT = Options(inits=16)

@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from getagrip.geometry.kernels.silhouette import MIN_SILHOUETTE_DEPTH_M, NX, NY, ROW_DISTANCE, ROW_WEIGHT, U, V, Z
 from getagrip.geometry.se3 import hat
-from getagrip.kernels.contour import NX, NY, ROW_DISTANCE, ROW_WEIGHT, U, V, Z
-from getagrip.kernels.silhouette import MIN_SILHOUETTE_DEPTH_M
 
 
 def project(

@@ -8,12 +8,12 @@ from __future__ import annotations
 from functools import cache
 
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.noise import perturbed
-from getagrip.datasets.synthetic.scene import ground_truth_masks, make_scene, noise_seed
-from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.evaluation import evaluate
-from getagrip.evaluation.metric import METRICS
+from getagrip.metrics.evaluate import evaluate
+from getagrip.metrics.evaluate.metric import METRICS
 from getagrip.result import Axis, Reconstruction
+from getagrip.synthetic.noise import perturbed
+from getagrip.synthetic.scene import ground_truth_masks, make_scene, noise_seed
+from getagrip.synthetic.scene_options import SceneOptions
 
 SMALL = SceneOptions(frames=8, size=(320, 240), focal=300.0)
 SHORT = SceneOptions(frames=4, size=(320, 240), focal=300.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from getagrip.experiments.trials import GraspVariantScore
+from getagrip.bench.grasp_job import GraspVariantScore
 
 
 def score(variant: str, value: float, failed: bool = False) -> GraspVariantScore:

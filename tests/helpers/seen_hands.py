@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from getagrip.landmarks.crops import HandCrop
-from getagrip.landmarks.nets import HandNetOutput, Nets
-from getagrip.landmarks.palms import Palm
+from getagrip.studio.hands.networks import HandNetOutput, Nets
+from getagrip.studio.hands.palms import HandCrop, Palm
 from helpers.labelled_scene import joints
 
 POINTS = np.array(joints(0))

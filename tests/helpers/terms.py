@@ -7,19 +7,17 @@ from collections.abc import Callable
 import numpy as np
 from numpy import ndarray
 
-from getagrip.datasets.synthetic import shapes
 from getagrip.fitting.energy import PosesInCamera, Quadratic, Term, no_bound
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
-from getagrip.fitting.energy.interaction import InteractionTerm
-from getagrip.fitting.energy.reprojection import ReprojectionTerm
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, vertex_moments
+from getagrip.fitting.energy.homan_terms import InteractionTerm, ReprojectionTerm, SmoothnessTerm, vertex_moments
 from getagrip.geometry import se3
+from getagrip.synthetic import objects
 from helpers.clips import box
 
 B, N = 2, 4
 """Hypotheses and frames."""
 K4 = np.tile([560.0, 570.0, 128.0, 120.0], (N, 1))
-MESHES = {"box": box(0.1, 0.06, 0.04), "mug": shapes.mug(), "spoon": shapes.spoon()}
+MESHES = {"box": box(0.1, 0.06, 0.04), "mug": objects.mug(), "spoon": objects.spoon()}
 
 
 def random_poses(rng: np.random.Generator, hypotheses: int = B, frames: int = N) -> PosesInCamera:

@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 
 from getagrip.clip import Clip, HandTrack, Masks, OtherHand, Segment, Truth, World
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.geometry import se3
-from getagrip.geometry.render import true_masks
+from getagrip.geometry.rasterize import true_masks
+from getagrip.synthetic.scene_options import SceneOptions
 from helpers.scenes import SMALL, scene
 
 LIES, COMES = 5, 2

@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from getagrip.geometry import se3
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import Request, TrackedHands
+from getagrip.readers.trackers import Request, TrackedHands
 from helpers.estimator_files import (
     FRAMES,
     SIZE,

@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.geometry import se3
-from getagrip.pictures.shown import View
+from getagrip.report.pictures.result_view import View
 from getagrip.result import Candidates, Reconstruction
+from getagrip.synthetic.scene_options import SceneOptions
 from helpers.scenes import scene_with_axis
 from helpers.true_result import true_result
 

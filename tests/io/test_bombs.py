@@ -16,22 +16,22 @@ import trimesh
 from PIL import Image
 
 from fuzz.containers import glb, glb_parts
-from getagrip.annotate import footage
-from getagrip.annotate.store import MarkStore
-from getagrip.clip import read_clip, segments
-from getagrip.clip.mask_request import MaskRequest
-from getagrip.clip.mask_sources import open_masks
-from getagrip.clip.reading import read_header
-from getagrip.datasets.dexycb.calibration import read_yaml
-from getagrip.datasets.epic import images
+from getagrip.clip import read_clip
+from getagrip.clip.read import read_header
 from getagrip.errors import InputError
-from getagrip.fitting.pose_priors import read_learnt
-from getagrip.geometry import obj
-from getagrip.geometry.mesh_files import read_mesh
-from getagrip.geometry.obj import parse_obj
+from getagrip.fitting.solver.initial_poses import read_learnt
+from getagrip.geometry.mesh_files import obj, read_mesh
+from getagrip.geometry.mesh_files.obj import parse_obj
 from getagrip.hands import mano
-from getagrip.hands.trackers import records
-from getagrip.io import archives, arrays, files, json_stream
+from getagrip.io import arrays, files
+from getagrip.readers import footage, streams
+from getagrip.readers.datasets.dexycb.dexycb_files import read_yaml
+from getagrip.readers.datasets.epic import epic_images
+from getagrip.readers.masks import mask_regions
+from getagrip.readers.masks.mask_request import MaskRequest
+from getagrip.readers.masks.mask_sources import open_masks
+from getagrip.readers.trackers import records
+from getagrip.studio.store.mark_store import MarkStore
 
 PATH = Path("a.file")
 LONG = 4_000_000
@@ -57,7 +57,7 @@ def test_one_long_text_among_numbers_takes_no_memory_for_all(refused: Callable[.
     values = ["x" * LONG, *[""] * 200]
     with memory(200):
         refused(lambda: records.record_numbers(PATH, {"joints": values}, "joints", (-1, 3)), "joints")
-        refused(lambda: segments.fill_polygons(PATH, "p", [values], (10, 10)), "corners")
+        refused(lambda: mask_regions.fill_polygons(PATH, "p", [values], (10, 10)), "corners")
         assert arrays.from_lists(values) is None
 
 
@@ -81,11 +81,11 @@ def test_a_member_that_unpacks_to_more_than_it_says_takes_no_memory(tmp_path: Pa
         with pytest.raises(InputError, match=why):
             arrays.read(tmp_path / "a.npz", lambda _: True)
         with pytest.raises(InputError, match="than by deflate" if why == "than by deflate" else "must be"):
-            json_stream.read_json_member(tmp_path / "a.zip", "a")
+            streams.read_json_member(tmp_path / "a.zip", "a")
 
 
 def test_an_archive_of_too_many_members_is_not_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(archives, "MAX_ARCHIVE_MEMBERS", 2)
+    monkeypatch.setattr(arrays, "MAX_ARCHIVE_MEMBERS", 2)
     arrays.write(tmp_path / "a.npz", {name: np.zeros(1) for name in "ab"})
     assert set(arrays.read(tmp_path / "a.npz", lambda _: True)) == {"a", "b"}
     arrays.write(tmp_path / "a.npz", {name: np.zeros(1) for name in "abc"})
@@ -162,7 +162,7 @@ def test_jpegs_of_two_sizes_are_refused_before_they_are_decoded(tmp_path: Path, 
     content = jpeg_of_two_sizes(64, 30_000)
     (tmp_path / "0001.jpg").write_bytes(content)
     with memory(500):
-        refused(lambda: images._decode_epic_image(PATH, "", content), "30000 x 30000")
+        refused(lambda: epic_images._decode_epic_image(PATH, "", content), "30000 x 30000")
         refused(lambda: footage.ImageFolder.open(tmp_path).image(0), "30000 x 30000")
 
 
@@ -236,13 +236,13 @@ def test_a_zip_of_json_with_too_many_members_is_not_listed(
                 archive.writestr(f"{n}.txt" if n else "a.json", '{"b": {}}')
         for length in (5, 2**20):  # entries that lie across two pieces are counted, too
             with monkeypatch.context() as patch:
-                patch.setattr(archives, "MAX_ARCHIVE_MEMBERS", 3)
-                patch.setattr(archives, "ZIP_SEARCH_BYTES", length)
+                patch.setattr(arrays, "MAX_ARCHIVE_MEMBERS", 3)
+                patch.setattr(arrays, "ZIP_SEARCH_BYTES", length)
                 if count == 3:
-                    assert json_stream.read_json_member(path, "b") == {}
+                    assert streams.read_json_member(path, "b") == {}
                     continue
-                refused(lambda: json_stream.read_json_member(path, "b"), "more than 3 members")
-                refused(lambda: archives.open_archive_bytes(path, path.read_bytes()), "more than 3 members")
+                refused(lambda: streams.read_json_member(path, "b"), "more than 3 members")
+                refused(lambda: arrays.open_archive_bytes(path, path.read_bytes()), "more than 3 members")
 
 
 @pytest.mark.slow
@@ -251,7 +251,7 @@ def test_a_small_zip_of_much_json_ends_soon(tmp_path: Path, refused: Callable[..
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("a.json", '{"' + "a" * 4_000_000 + '": [' + "1," * 1_900_000 + '1], "b": [' + "{}," * 600_000)
     with memory(400):
-        refused(lambda: list(json_stream.stream_items(path, "b")), "a.zip")
+        refused(lambda: list(streams.stream_items(path, "b")), "a.zip")
 
 
 def test_a_version_that_is_a_record_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
@@ -324,7 +324,7 @@ def test_regions_of_a_frame_are_counted_before_they_are_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
 ) -> None:
     width, height = 40, 30
-    monkeypatch.setattr(segments, "MAX_DRAWN_PIXELS", 5 * width * height)
+    monkeypatch.setattr(mask_regions, "MAX_DRAWN_PIXELS", 5 * width * height)
     full = {"size": [height, width], "counts": [0, width * height]}
     path = tmp_path / "coco.json"
 
@@ -338,7 +338,9 @@ def test_regions_of_a_frame_are_counted_before_they_are_drawn(
     assert read(5) == width * height
     refused(lambda: read(6), "annotations", "6 regions in one frame", "at most 5")
     corners = [0, 0, width, 0, width, height, 0, height]
-    assert segments.fill_polygons(path, "", [corners] * 5, (width, height)).all()
+    assert mask_regions.fill_polygons(path, "", [corners] * 5, (width, height)).all()
     refused(
-        lambda: segments.fill_polygons(path, "k", [corners] * 6, (width, height)), "polygons of more pixels", "at most"
+        lambda: mask_regions.fill_polygons(path, "k", [corners] * 6, (width, height)),
+        "polygons of more pixels",
+        "at most",
     )

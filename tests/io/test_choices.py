@@ -11,11 +11,11 @@ import pytest
 from tyro._docstrings import get_field_docstring
 
 from getagrip import Options, SceneOptions, UsageError
-from getagrip.grasps.definition import Definition
-from getagrip.grasps.stable import contact_sets
 from getagrip.hands import generic
-from getagrip.io.choices import explain_all
+from getagrip.io.options import explain_all
 from getagrip.metrics.contact import ContactDefinition
+from getagrip.stable_grasps.definition import Definition
+from getagrip.stable_grasps.find import contact_sets
 
 WRONG: dict[str, Callable[[], object]] = {
     "unknown axis 'anywhere'; choose from free, hand": lambda: Options(axis="anywhere"),

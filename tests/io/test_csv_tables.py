@@ -11,7 +11,7 @@ import pytest
 
 import getagrip
 from getagrip.io.files import csv_rows
-from getagrip.io.tables import CsvTable, escape_cell, unescape_cell
+from getagrip.io.terminal import CsvTable, escape_cell, unescape_cell
 
 FORMULAS = ("=cmd|'calc'!A0", "+1", "-1", "@SUM(1)", "\t=1", "\r=1", "\n=1", "'=1", "''+1", "=", '=a,"b"')
 PLAIN = ("", "mug", "'mug'", "a=1", "5", "'", "left hand")

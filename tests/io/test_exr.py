@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from getagrip.clip.depth import read_channel
 from getagrip.errors import InputError
-from getagrip.io.exr import read_channel
 from helpers.exr_files import exr
 
 MOST = 10_000

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from getagrip.errors import GetagripError, InputError
-from getagrip.io import http_store
+from getagrip.io import storage
 from getagrip.io.storage import RemotePath
 
 pytest.importorskip("fsspec", reason="needs fsspec: pip install -e '.[s3]'")
@@ -64,7 +64,7 @@ def test_bodies_that_never_end_are_cut_at_the_limit(server: RemotePath, tmp_path
 
 
 def test_a_listing_that_never_ends_is_refused(server: RemotePath, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(http_store, "MAX_LISTING_BYTES", 2**20)
+    monkeypatch.setattr(storage, "MAX_LISTING_BYTES", 2**20)
     with pytest.raises(InputError, match="at most that in a listing"):
         server.children()
 

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.annotate.store import MarkStore
-from getagrip.batch.entries import LEDGER_FILE
-from getagrip.batch.ledger import Ledger
+from getagrip.batch.ledger import LEDGER_FILE, Ledger
 from getagrip.errors import InputError, UsageError
-from getagrip.io import databases, files, leftovers
+from getagrip.io import files
+from getagrip.studio.store.mark_store import MarkStore
 
 CANARY = b"another file of the user's"
 
@@ -66,10 +65,10 @@ def test_looking_whether_a_file_can_be_written_follows_no_link(tmp_path: Path) -
 def test_sweeping_moves_nothing_out_of_a_folder_that_is_linked(tmp_path: Path, canary: Path) -> None:
     (elsewhere := tmp_path / "elsewhere").mkdir()
     canary.rename(elsewhere / "own")
-    left = tmp_path / "sent" / f"{leftovers.TEMPORARY_FOLDER_PREFIX}x"
+    left = tmp_path / "sent" / f"{files.TEMPORARY_FOLDER_PREFIX}x"
     left.mkdir(parents=True)
     (left / "old").symlink_to(elsewhere)
-    leftovers.remove_stale_folders(tmp_path / "sent")
+    files.remove_stale_folders(tmp_path / "sent")
     assert (elsewhere / "own").read_bytes() == CANARY
 
 
@@ -96,7 +95,7 @@ def opened(kind: str, folder: Path) -> None:
     MarkStore(folder / "marks.sqlite").close()
 
 
-@pytest.mark.parametrize("end", ["", *databases.SQLITE_LOG_SUFFIXES])
+@pytest.mark.parametrize("end", ["", *files.SQLITE_LOG_SUFFIXES])
 @pytest.mark.parametrize("kind", ["ledger", "marks"])
 def test_databases_that_are_links_are_refused(tmp_path: Path, canary: Path, kind: str, end: str) -> None:
     name = {"ledger": LEDGER_FILE, "marks": "marks.sqlite"}[kind] + end

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from getagrip.errors import InputError, UsageError
-from getagrip.io import interrupts
-from getagrip.io.numbers import convert_to_input_errors
+from getagrip.io import processes
+from getagrip.io.arrays import convert_to_input_errors
 
 
 class Stop(BaseException):
@@ -22,7 +22,7 @@ class Stop(BaseException):
 @pytest.fixture(autouse=True)
 def _as_in_the_program() -> Iterator[None]:
     before = signal.getsignal(signal.SIGINT)
-    interrupts.raise_on_interrupt()
+    processes.raise_on_interrupt()
     yield
     signal.signal(signal.SIGINT, before)
 

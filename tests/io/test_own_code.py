@@ -12,7 +12,7 @@ import pytest
 
 from getagrip.fitting.energy import mask as package_module
 from getagrip.fitting.methods.all_frames import soft_hinge
-from getagrip.io.own_code import UnknownSourceError, source_checksum
+from getagrip.io.source_checksum import UnknownSourceError, source_checksum
 
 MINE = """
 from dataclasses import dataclass

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.io.code import PACKAGE
+from getagrip.io.plugins import PACKAGE
 from helpers.paths import import_path
 
 NAMES = ("getagrip", "pip", "numpy", "signal", "pickle", "threading", "socket", "runpy", "helpers", "submitit")
 """Modules that a process loads early."""
 STARTED = {
     "a command of the page": (
-        "from types import SimpleNamespace; from getagrip.annotate.reconstruction import run_command; "
+        "from types import SimpleNamespace; from getagrip.studio.jobs import run_command; "
         "assert run_command(['--version'], SimpleNamespace(done=0, total=0, report=print)).startswith('getagrip ')"
     ),
-    "pip": "from getagrip.landmarks import models; from pathlib import Path; models._download_wheel(Path({folder!r}))",
+    "pip": "from getagrip.studio.hands import networks; from pathlib import Path; networks._download_wheel(Path({folder!r}))",
     "processes of a batch": (
         "from getagrip.batch.executor import run_in_processes; assert [*run_in_processes(len, ['abc'], 1)] == [('abc', 3)]"
     ),
@@ -52,8 +52,8 @@ def test_nothing_of_the_current_folder_is_run(sent: Path, tmp_path: Path, what: 
 
 @pytest.mark.skipif(find_spec("submitit") is None, reason="needs submitit: pip install -e '.[slurm]'")
 def test_nor_does_a_task_of_slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from getagrip.batch.limits import NO_LIMITS
-    from getagrip.batch.on_slurm import SlurmExecutor
+    from getagrip.batch.clusters import SlurmExecutor
+    from getagrip.batch.job import NO_LIMITS
 
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     monkeypatch.setattr("shutil.which", lambda name: name)

@@ -11,8 +11,8 @@ import pytest
 from numpy import ndarray
 
 from getagrip.clip import Masks, read_clip, read_masks, write_clip
-from getagrip.clip.data import FrameMasks
-from getagrip.io.packed_masks import PackedMasks
+from getagrip.clip.clip import FrameMasks
+from getagrip.io.images import PackedMasks
 from helpers.clips import small_clip
 
 DENSE = np.random.default_rng(0).random((5, 7, 19)) < 0.2

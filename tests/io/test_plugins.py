@@ -9,10 +9,10 @@ import pytest
 
 from getagrip.checks import Check, Evidence, run_checks
 from getagrip.errors import UsageError
-from getagrip.evaluation.comparison import Comparison
-from getagrip.evaluation.metric import IOU, Metric, compute_metrics
 from getagrip.io import plugins
 from getagrip.io.plugins import PluginTable
+from getagrip.metrics.evaluate.comparison import Comparison
+from getagrip.metrics.evaluate.metric import IOU, Metric, compute_metrics
 from helpers.clips import small_clip
 from helpers.packages import write_package
 

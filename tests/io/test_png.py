@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from getagrip.clip.label_choice import read_label_image
 from getagrip.errors import InputError
 from getagrip.io.images import read_colour_png, read_png
+from getagrip.readers.masks.mask_request import read_label_image
 
 Refused = Callable[..., str]
 SIZE = (13, 9)

@@ -11,8 +11,8 @@ from contextlib import ExitStack
 
 import pytest
 
-from getagrip.io import serving
-from getagrip.io.serving import LOOPBACK, QuietHandler, QuietServer
+from getagrip.report import serving
+from getagrip.report.serving import LOOPBACK, QuietHandler, QuietServer
 
 
 class _Handler(QuietHandler):

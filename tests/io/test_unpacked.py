@@ -16,10 +16,10 @@ import av
 import numpy as np
 import pytest
 
-from getagrip.clip import video
+from getagrip.clip import depth
 from getagrip.errors import InputError
-from getagrip.hands.trackers.egodex import EGODEX_JOINTS, read_egodex_joints
-from getagrip.io import exr, parquet
+from getagrip.readers import streams, video
+from getagrip.readers.trackers.egodex import EGODEX_JOINTS, read_egodex_joints
 from helpers import exr_files
 
 h5py: Any = import_module("h5py") if find_spec("h5py") else None
@@ -31,11 +31,11 @@ def test_channels_count_with_the_pixels(tmp_path: Path, monkeypatch: pytest.Monk
     channels = {name: np.ones((32, 10), "<f4") for name in "AZ"}
     (tmp_path / "a.exr").write_bytes(exr_files.exr(channels))
     most = 2 * 4 * 10 * (16 if bound == "MAX_EXR_BLOCK_BYTES" else 32)
-    monkeypatch.setattr(exr, bound, most)
-    assert exr.read_channel(tmp_path / "a.exr", 1000).shape == (32, 10)
-    monkeypatch.setattr(exr, bound, most - 1)
+    monkeypatch.setattr(depth, bound, most)
+    assert depth.read_channel(tmp_path / "a.exr", 1000).shape == (32, 10)
+    monkeypatch.setattr(depth, bound, most - 1)
     with pytest.raises(InputError, match="channels must be blocks"):
-        exr.read_channel(tmp_path / "a.exr", 1000)
+        depth.read_channel(tmp_path / "a.exr", 1000)
 
 
 def film(width: int, height: int, aspect: int = 1, codec: str = "mpeg4", kind: str = "mp4") -> bytes:
@@ -184,13 +184,13 @@ def table(path: Path, **columns: Any) -> Path:
 
 def test_columns_are_numbers_nan_where_there_is_none(tmp_path: Path) -> None:
     path = table(tmp_path / "a.parquet", n=[3, 4, None], h=[[1.0, None], None, [2.0, 3.0]], e=[1, 1, 2])
-    found = parquet.read_columns(path, ["n", "h"])
+    found = streams.read_columns(path, ["n", "h"])
     np.testing.assert_array_equal(found["n"], [3.0, 4.0, np.nan])
     np.testing.assert_array_equal(found["h"], [[1.0, np.nan], [np.nan, np.nan], [2.0, 3.0]])
-    kept = parquet.read_columns(path, ["h", "e"], ("e", 1))
+    kept = streams.read_columns(path, ["h", "e"], ("e", 1))
     np.testing.assert_array_equal(kept["h"], [[1.0, np.nan], [np.nan, np.nan]])
     deep = table(tmp_path / "b.parquet", h=[[[1.0, 2.0], [3.0, 4.0]], None])
-    np.testing.assert_array_equal(parquet.read_columns(deep, ["h"])["h"], [[1.0, 2.0, 3.0, 4.0], 4 * [np.nan]])
+    np.testing.assert_array_equal(streams.read_columns(deep, ["h"])["h"], [[1.0, 2.0, 3.0, 4.0], 4 * [np.nan]])
 
 
 @pytest.mark.parametrize(
@@ -198,7 +198,7 @@ def test_columns_are_numbers_nan_where_there_is_none(tmp_path: Path) -> None:
 )
 def test_other_columns_are_refused(tmp_path: Path, column: list[Any]) -> None:
     with pytest.raises(InputError, match=r"a\.parquet: h "):
-        parquet.read_columns(table(tmp_path / "a.parquet", h=column), ["h"])
+        streams.read_columns(table(tmp_path / "a.parquet", h=column), ["h"])
 
 
 @pytest.mark.parametrize("bound", ["MAX_PARQUET_VALUES_READ", "MAX_PARQUET_VALUES_RETURNED", "MAX_PARQUET_ROW_VALUES"])
@@ -207,10 +207,10 @@ def test_rows_are_counted_before_they_take_memory(tmp_path: Path, monkeypatch: p
     most = {"MAX_PARQUET_VALUES_READ": 18_000, "MAX_PARQUET_VALUES_RETURNED": 18_000, "MAX_PARQUET_ROW_VALUES": 3}[
         bound
     ]
-    monkeypatch.setattr(parquet, bound, most)
-    assert parquet.read_columns(path, ["h", "e"])["h"].shape == (3000, 5)
-    monkeypatch.setattr(parquet, bound, most - 1)
+    monkeypatch.setattr(streams, bound, most)
+    assert streams.read_columns(path, ["h", "e"])["h"].shape == (3000, 5)
+    monkeypatch.setattr(streams, bound, most - 1)
     with pytest.raises(InputError, match="numbers"):
-        parquet.read_columns(path, ["h", "e"])
+        streams.read_columns(path, ["h", "e"])
     if bound == "MAX_PARQUET_VALUES_RETURNED":
-        assert parquet.read_columns(path, ["h", "e"], ("e", 1))["h"].shape == (1500, 5)
+        assert streams.read_columns(path, ["h", "e"], ("e", 1))["h"].shape == (1500, 5)

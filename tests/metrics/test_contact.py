@@ -13,16 +13,18 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.contact import (
     CONTACT_SIDES,
+    MAX_CACHED_SURFACE_FACES,
     MAX_SIGNED_DISTANCE_M,
     ContactDefinition,
     ContactDistances,
+    close_holes,
     contact_distances,
     pairwise_iou,
+    signed_distance,
     stable_contact,
     stable_contact_area,
 )
 from getagrip.metrics.pose import ObjectTrack
-from getagrip.metrics.surface_distance import MAX_CACHED_SURFACE_FACES, close_holes, signed_distance
 
 sets = arrays(bool, array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=20))
 

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from getagrip.clip import Masks
-from getagrip.datasets.synthetic import shapes
 from getagrip.geometry import se3
-from getagrip.geometry.depth import render_coverage
+from getagrip.geometry.rasterize import render_coverage
 from getagrip.metrics.mask import iou, iou_of_poses
+from getagrip.synthetic import objects
 
-MUG = shapes.mug()
+MUG = objects.mug()
 SIZE = (320, 240)
 K = np.array([[400.0, 0.0, 160.0], [0.0, 400.0, 120.0], [0.0, 0.0, 1.0]])
 images = arrays(bool, (6, 7))

@@ -10,15 +10,15 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip.datasets.synthetic import shapes
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from getagrip.metrics.contact import signed_distance
 from getagrip.metrics.pose import ADD_SUCCESS_FRACTION, ObjectTrack, PoseErrors, best_symmetry, pose_errors
-from getagrip.metrics.surface_distance import signed_distance
 from getagrip.metrics.symmetry import Symmetries, find_symmetries, surface_points
+from getagrip.synthetic import objects
 
 seeds = st.integers(0, 2**32 - 1)
-MUG, BOTTLE, CAN, BOX = shapes.mug(), shapes.bottle(), shapes.can(), shapes.box()
+MUG, BOTTLE, CAN, BOX = objects.mug(), objects.bottle(), objects.can(), objects.box()
 
 
 @cache
@@ -122,15 +122,15 @@ def test_surface_points_are_spread_by_area() -> None:
     ("mesh", "expected"),
     [
         (MUG, "none"),
-        (shapes.cup(), "none"),
-        (shapes.pan(), "none"),
-        (shapes.kettle(), "none"),
-        (shapes.spoon(), "none"),
-        (shapes.ketchup(), "180 degrees"),
+        (objects.cup(), "none"),
+        (objects.pan(), "none"),
+        (objects.kettle(), "none"),
+        (objects.spoon(), "none"),
+        (objects.ketchup(), "180 degrees"),
         (BOX, "180, 180, 180 degrees"),
         (BOTTLE, "continuous"),
-        (shapes.bowl(), "continuous"),
-        (shapes.plate(), "continuous"),
+        (objects.bowl(), "continuous"),
+        (objects.plate(), "continuous"),
         (CAN, "continuous, flips"),
     ],
 )
@@ -161,7 +161,7 @@ def test_a_square_box_has_8_turns_however_its_cad_is_turned(height: float) -> No
 
 @pytest.mark.slow
 def test_symmetries_map_the_surface_onto_itself() -> None:
-    for mesh in (BOX, CAN, shapes.ketchup()):
+    for mesh in (BOX, CAN, objects.ketchup()):
         symmetries = find_symmetries(mesh)
         turns = symmetries.about(np.full(len(symmetries.axes), 0.3)) @ symmetries.elements
         for T in turns:

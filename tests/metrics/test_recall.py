@@ -9,10 +9,10 @@ import trimesh
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.mesh import Mesh
-from getagrip.metrics.pose import ObjectTrack
-from getagrip.metrics.recall import (
+from getagrip.metrics.pose import (
     MSPD_THRESHOLDS_PX,
     MSSD_THRESHOLDS,
+    ObjectTrack,
     SymmetricErrors,
     all_symmetries,
     area_under_curve,

@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from getagrip.metrics.visible_surface import (
-    VSD_TOLERANCES,
-    VSD_VISIBILITY_TOLERANCE_M,
-    discrepancy,
-    ray_lengths,
-    vsd_recall,
-)
+from getagrip.metrics.pose import VSD_TOLERANCES, VSD_VISIBILITY_TOLERANCE_M, discrepancy, ray_lengths, vsd_recall
 
 TOLERANCES = VSD_TOLERANCES * 0.1
 

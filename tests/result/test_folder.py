@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
-from getagrip.probability import Probability
 from getagrip.result import Axis, Candidates, Reconstruction, Status, is_result, read_result, write_result
+from getagrip.result.findings import Probability
 
 Refused = Callable[..., str]
 

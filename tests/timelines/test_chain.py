@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.timelines.following import Paths
-from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.joint import best_chain, link_cost, second_best, squared_vertex_distance
+from getagrip.timelines.observations import Hypotheses
+from getagrip.timelines.tracking import Paths
 from helpers.clips import box
 
 

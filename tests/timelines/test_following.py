@@ -9,9 +9,8 @@ from getagrip.clip import with_masks
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import repair_input
 from getagrip.geometry import se3
-from getagrip.timelines.following import N_PATHS, _select_distinct_paths, track_hypotheses
-from getagrip.timelines.footage import TimelineInputs
-from getagrip.timelines.hypotheses import Hypotheses
+from getagrip.timelines.observations import Hypotheses, TimelineInputs
+from getagrip.timelines.tracking import N_PATHS, _select_distinct_paths, track_hypotheses
 from helpers.timelines import timeline
 
 

@@ -10,16 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip.clip import Segment, read_masks, with_masks
-from getagrip.fitting.energy.smoothness import vertex_moments
+from getagrip.fitting.energy.homan_terms import vertex_moments
 from getagrip.fitting.motion import PosesInHand, transform_poses
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import repair_input
 from getagrip.geometry import se3
-from getagrip.timelines.between import _blend_motions
-from getagrip.timelines.following import _pose_embedding, hand_motions
-from getagrip.timelines.footage import GraspClip, TimelineInputs
-from getagrip.timelines.hypotheses import Hypotheses
-from getagrip.timelines.motion import TimelineMotion, split_at_gaps
+from getagrip.timelines.observations import GraspClip, Hypotheses, TimelineInputs
+from getagrip.timelines.tracking import _pose_embedding, hand_motions
+from getagrip.timelines.transitions import TimelineMotion, _blend_motions, split_at_gaps
 from helpers.clips import box
 from helpers.timelines import by_other_hand, timeline
 

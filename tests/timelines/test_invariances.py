@@ -14,12 +14,11 @@ from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import repair_input
 from getagrip.fitting.problem import prepare_problem
 from getagrip.geometry import se3
+from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction
-from getagrip.timelines.following import track_hypotheses
-from getagrip.timelines.footage import GraspClip, TimelineInputs
-from getagrip.timelines.grasp_segment import fit_in_all_frames, solve_grasp
-from getagrip.timelines.hypotheses import Hypotheses
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.timelines.observations import GraspClip, Hypotheses, TimelineInputs
+from getagrip.timelines.segments import fit_in_all_frames, solve_grasp
+from getagrip.timelines.tracking import track_hypotheses
 from helpers.scenes import SMALL
 from helpers.timelines import timeline
 

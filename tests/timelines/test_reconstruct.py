@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.checks.calibrated import CALIBRATIONS
+from getagrip.checks.calibration import CALIBRATIONS
 from getagrip.clip import write_clip
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.pages.report import _describe_segments
 from getagrip.provenance import estimated
+from getagrip.reconstruct import reconstruct
+from getagrip.report.pages.result_page import _describe_segments
 from getagrip.result import Reconstruction, read_result, write_result
-from getagrip.result.segments import describe_grasp_probabilities
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.result.result import describe_grasp_probabilities
 from helpers.timelines import LIES, by_other_hand, timeline
 
 FEW = Options(inits=20)

@@ -10,9 +10,8 @@ from getagrip.clip import with_masks
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import repair_input
 from getagrip.geometry import se3
-from getagrip.timelines.footage import TimelineInputs
-from getagrip.timelines.motion import TimelineMotion
-from getagrip.timelines.settled import correct_depth, depth_jitter
+from getagrip.timelines.observations import TimelineInputs
+from getagrip.timelines.transitions import TimelineMotion, correct_depth, depth_jitter
 from helpers.timelines import timeline
 
 

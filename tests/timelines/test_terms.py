@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from getagrip.fitting.energy import PosesInCamera, Term, no_bound
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, TermInFrame, vertex_moments
+from getagrip.fitting.energy.homan_terms import SmoothnessTerm, TermInFrame, vertex_moments
 from getagrip.geometry import se3
-from getagrip.timelines.grasp_segment import ExpectedPoses, LinkTerm
-from getagrip.timelines.static_pose import SupportTerm, hull_vertices, plane_in_camera
+from getagrip.timelines.segments import ExpectedPoses, LinkTerm, SupportTerm, hull_vertices, plane_in_camera
 from helpers.clips import box
 from helpers.terms import N, differences, hypotheses_are_independent, is_trustworthy, moved, random_poses, total_hessian
 

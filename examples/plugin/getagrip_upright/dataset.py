@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.dataset import Dataset, Draft, Missing, Note
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.readers.datasets.dataset import Dataset, Draft, Missing, Note
+from getagrip.synthetic.scene import synthesise
+from getagrip.synthetic.scene_options import SceneOptions
 
 
 @dataclass(frozen=True)

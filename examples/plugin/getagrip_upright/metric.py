@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from getagrip.evaluation.comparison import Comparison
-from getagrip.evaluation.metric import Metric
+from getagrip.metrics.evaluate.comparison import Comparison
+from getagrip.metrics.evaluate.metric import Metric
 
 
 def axis_error(it: Comparison) -> np.ndarray:

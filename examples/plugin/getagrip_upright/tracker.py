@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.clip.naming import frame_of
+from getagrip.clip.match_frames import frame_of
 from getagrip.errors import InputError
-from getagrip.hands.trackers.estimates import Estimate, Estimates, Request
-from getagrip.hands.trackers.tracker import Tracker, only_file
 from getagrip.provenance import estimated
+from getagrip.readers.trackers.estimates import Estimate, Estimates, Request
+from getagrip.readers.trackers.tracker import Tracker, only_file
 
 DEPTH = estimated("by the CSV file's tracker")
 

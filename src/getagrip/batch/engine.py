@@ -15,10 +15,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
-from getagrip.batch.entries import LedgerEntry
 from getagrip.batch.executor import FinishedJob, Start, run_in_sequence, run_on_executor
-from getagrip.batch.ledger import Ledger
-from getagrip.batch.limits import NO_LIMITS, Limits
+from getagrip.batch.job import NO_LIMITS, Limits
+from getagrip.batch.ledger import Ledger, LedgerEntry
 from getagrip.io import files, plugins
 from getagrip.io.terminal import NullOutput, print_note, show_stage
 

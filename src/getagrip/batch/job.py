@@ -1,25 +1,91 @@
-"""One clip from its folder to its result folder; whatever goes wrong becomes a sentence."""
+"""One clip from its folder to its result folder; whatever goes wrong becomes a sentence.
+
+Limits of the time and memory of one job: a clip that needs more fails, and is named.
+
+One clip in an object store: copied to this machine, reconstructed, and its result copied back.
+
+A result is written with its ``result.json`` last, and without that it is none: half of one is never taken for done.
+"""
 
 from __future__ import annotations
 
+import sys
+import tempfile
 import traceback
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from getagrip.batch.validity import software_of_method, valid_result
-from getagrip.clip import input_sha256, read_clip
-from getagrip.errors import GetagripError, InputError, escape_unprintable
-from getagrip.finding import Finding
-from getagrip.io import plugins
-from getagrip.io.own_code import locate_error
-from getagrip.probability import Probability
+from tyro.conf import arg
+
+from getagrip.batch.freshness import software_of_method, valid_result
+from getagrip.clip import input_sha256, read_clip, read_name
+from getagrip.errors import GetagripError, InputError, UsageError, escape_unprintable
+from getagrip.io import files, plugins
+from getagrip.io.source_checksum import locate_error
+from getagrip.io.storage import ARCHIVE_SUFFIX, Place, RemotePath
 from getagrip.result import Reconstruction, write_result
-from getagrip.result.segments import describe_grasp_probabilities
+from getagrip.result.findings import Finding, Probability
+from getagrip.result.result import describe_grasp_probabilities
 
 if TYPE_CHECKING:
     from getagrip.fitting.options import Options
+
+MAX_JOB_LIMIT = 1e6
+"""Most seconds and GB: the kernel and the clock count no farther than some thousand times as many."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The limits of each job.
+
+    Raises ``UsageError`` for limits that are no positive numbers, or that cannot be held here.
+    """
+
+    seconds: Annotated[float | None, arg(name="limit-seconds", metavar="S", help_behavior_hint="(default: none)")] = (
+        None
+    )
+    """Time limit of a clip (in bench, with all its methods) or of a part of a dataset [s]."""
+    gigabytes: Annotated[float | None, arg(name="limit-gb", metavar="GB", help_behavior_hint="(default: none)")] = None
+    """Memory limit of each process [10^9 bytes] (Linux only)."""
+
+    def __post_init__(self) -> None:
+        for option, value in (("--limit-seconds", self.seconds), ("--limit-gb", self.gigabytes)):
+            if value is not None and not (0.0 < value <= MAX_JOB_LIMIT):
+                raise UsageError(f"{option} must be above 0 and at most {MAX_JOB_LIMIT:g} (got {value:g})")
+        if self.gigabytes is not None and sys.platform != "linux":
+            raise UsageError(
+                f"--limit-gb cannot be used with {sys.platform}: only Linux limits the memory of a process"
+            )
+
+    def __bool__(self) -> bool:
+        return self.seconds is not None or self.gigabytes is not None
+
+    @property
+    def too_long(self) -> str:
+        """Why a job was ended, in words."""
+        return f"it took longer than {self.seconds:g} s (--limit-seconds)"
+
+    @property
+    def suspicion(self) -> str:
+        """Why a process may have died."""
+        return "out of memory?" if self.gigabytes is None else f"out of memory, {self.gigabytes:g} GB (--limit-gb)?"
+
+    def enforce(self) -> None:
+        """Limit the memory of this process, which is to do such jobs and nothing else."""
+        if self.gigabytes is not None:
+            import resource
+
+            most = resource.getrlimit(resource.RLIMIT_DATA)[1]
+            wanted = int(self.gigabytes * 1e9)
+            resource.setrlimit(resource.RLIMIT_DATA, (wanted if most < 0 else min(wanted, most), most))
+
+
+NO_LIMITS = Limits()
+"""Any time, any memory."""
 
 Progress = Callable[[str, float], None]
 """Called with the stage in words, and how much of it is done, 0 to 1."""
@@ -91,7 +157,7 @@ def preload_solver() -> None:
     from getagrip.io.terminal import print_note
 
     compile_once(lambda: print_note(COMPILATION_MESSAGE))
-    import getagrip.timelines.reconstruct  # noqa: F401
+    import getagrip.reconstruct  # noqa: F401
 
 
 def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
@@ -116,7 +182,7 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
         )
     except Exception as error:  # one clip's trouble must not end the others
         return failed_outcome(job.name, error)
-    from getagrip.fitting.judge import uncalibrated_reason
+    from getagrip.fitting.stages.confidence import uncalibrated_reason
 
     known = ", ".join(f"{right} {where}" for where, right in result.probabilities.items())
     probably = f"right with a probability of {known}" if known else ""
@@ -136,7 +202,7 @@ def _reconstruct_unchanged_clip(job: Job, progress: Progress | None) -> tuple[Re
 
     Raises ``InputError`` where the clip has changed meanwhile: some of it was read before, some after.
     """
-    from getagrip.timelines.reconstruct import reconstruct
+    from getagrip.reconstruct import reconstruct
 
     before = input_sha256(job.clip)
     with plugins.convert_base_exceptions():
@@ -171,3 +237,113 @@ def _result_outcome(
         inputs=checksum, status=result.message, iou=result.mean_iou, ambiguous=result.ambiguous,
         seconds=float(result.seconds.get("total", 0.0)),
     )  # fmt: skip
+
+
+UNREAD_CLIP_FILES = ("frames", "truth.npz")
+"""Files of a clip that no reconstruction reads (``clip.input_sha256``)."""
+RESULT_RECORD_FILE, RESULT_POSES_FILE = "result.json", "result.npz"
+"""Files of a result; the first marks a folder as one."""
+
+
+@dataclass(frozen=True)
+class StreamedJob:
+    """A clip to reconstruct that, or whose result, lies in an object store."""
+
+    name: str
+    clip: Place
+    out: Place
+    """The result's own folder."""
+    options: Options
+    overwrite: bool
+    threads: int = 1
+    """That share the hypotheses."""
+
+
+def reconstruct_streamed(job: StreamedJob, progress: Progress | None = None) -> Outcome:
+    """Reconstruct one clip as ``reconstruct_one`` does.
+
+    What is in a store is copied to a temporary folder before, and the result is copied back after.
+    """
+    try:
+        with files.temporary_folder(_temporary_folder()) as folder:
+            outcome = _reconstruct_local_copy(job, folder, progress)
+            message = outcome.message
+            for here, there in (("clip", job.clip), ("result", job.out)):
+                message = message.replace(str(folder / here / job.name), str(there))
+            return replace(outcome, message=message)
+    except Exception as error:  # a full disk
+        return failed_outcome(job.name, error)
+
+
+@cache
+def _temporary_folder() -> Path:
+    """Return the folder of temporary files, freed of what killed processes have left there."""
+    folder = Path(tempfile.gettempdir())
+    files.remove_stale_folders(folder)
+    return folder
+
+
+def _reconstruct_local_copy(job: StreamedJob, folder: Path, progress: Progress | None) -> Outcome:
+    """Return the outcome, whose message has names in the temporary folder."""
+    try:
+        clip, out = _fetch_clip(job, folder), _fetch_result(job, folder)
+        there = out.exists()
+        local = Job(job.name, clip, out, job.options, job.overwrite, str(job.clip), job.threads)
+        outcome = reconstruct_one(local, progress)
+        if outcome.state == "done" and isinstance(job.out, RemotePath):
+            _upload_result(out, job.out, replaces=there)
+        return outcome
+    except Exception as error:  # one clip's trouble must not end the others
+        return failed_outcome(job.name, error)
+
+
+def _fetch_clip(job: StreamedJob, folder: Path) -> Path:
+    """Copy the clip to this machine. Raises ``InputError`` where it has another name than its folder in the store."""
+    if isinstance(job.clip, Path):
+        return job.clip
+    clip = folder / "clip" / job.name
+    clip.mkdir(parents=True)
+    if job.clip.name.endswith(ARCHIVE_SUFFIX):
+        job.clip.unpack_to(clip, UNREAD_CLIP_FILES)
+    else:
+        job.clip.copy_to(clip, UNREAD_CLIP_FILES)
+    name = read_name(clip)
+    if name != job.name:
+        expected = f"{job.name}, as its folder or archive is named"
+        raise InputError(clip / "clip.json", "name", f"the name {files.shorten_value(name)}", expected)
+    return clip
+
+
+def _fetch_result(job: StreamedJob, folder: Path) -> Path:
+    """Return the result's folder on this machine, with the existing files of the result."""
+    if isinstance(job.out, Path):
+        return job.out
+    out = folder / "result" / job.name
+    out.parent.mkdir()
+    record = (job.out / RESULT_RECORD_FILE).read(files.MAX_JSON_BYTES)
+    if record is not None:
+        poses = (job.out / RESULT_POSES_FILE).read(files.MAX_FILE_BYTES)
+        out.mkdir()
+        (out / RESULT_RECORD_FILE).write_bytes(record)
+        (out / RESULT_POSES_FILE).write_bytes(poses or b"")
+    return out
+
+
+def _upload_result(result: Path, out: RemotePath, replaces: bool) -> None:
+    """Copy a result into the store. What is there is no result from the first step to the last."""
+    if replaces:
+        (out / RESULT_RECORD_FILE).remove()
+    for name in (RESULT_POSES_FILE, RESULT_RECORD_FILE):
+        (out / name).write((result / name).read_bytes())
+
+
+@contextmanager
+def local_results(out: Place, names: Sequence[str]) -> Iterator[Path]:
+    """Copy some results to a folder on this machine, where they can be read."""
+    if isinstance(out, Path):
+        yield out
+        return
+    with tempfile.TemporaryDirectory(prefix="getagrip.") as folder:
+        for name in (RESULT_RECORD_FILE, RESULT_POSES_FILE):
+            out.fetch([f"{result}/{name}" for result in names], files.MAX_JSON_BYTES, Path(folder))
+        yield Path(folder)

@@ -2,35 +2,278 @@
 
 It coordinates and records. What a result is, and whether it is still good, its own files say: a ledger that is lost is
 made again from them.
+
+The living drivers: the processes that work on a folder together, each with a row in its ledger.
+
+A driver that dies gives back its claims. Clocks decide nothing, since they jump and differ between machines: a driver
+counts its heartbeats, and is dead to another one that has seen the same count for ``HEARTBEAT_TIMEOUT_S`` seconds of its own
+steady clock. On the same machine a process that is gone, or whose number another one has, is dead at once.
+
+The entries of a ledger, one for each task. They are read here, by whoever does not change it, too.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import socket
 import sqlite3
+import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
+from typing import Literal
+from uuid import uuid4
 
-from getagrip.batch.drivers import Drivers
-from getagrip.batch.entries import (
-    EXPECTED_LEDGER,
-    LEDGER_APPLICATION_ID,
-    LEDGER_COLUMNS,
-    LEDGER_FILE,
-    LEDGER_SCHEMA,
-    LEDGER_TIMEOUT_S,
-    LEDGER_VERSION,
-    MAX_LEDGER_TEXT_BYTES,
-    Entries,
-    LedgerEntry,
-)
-from getagrip.errors import GetagripError
-from getagrip.io import databases
+from getagrip.errors import GetagripError, InputError
+from getagrip.io import files
 from getagrip.io.storage import Place
-from getagrip.io.user_folders import state_folder
+from getagrip.io.terminal import print_note, state_folder
+
+DRIVERS_SCHEMA = """CREATE TABLE drivers (
+    id TEXT PRIMARY KEY, machine TEXT NOT NULL, pid INTEGER NOT NULL, born TEXT NOT NULL, beats INTEGER NOT NULL
+) WITHOUT ROWID"""
+HEARTBEAT_S = 2.0
+"""Seconds between heartbeats."""
+HEARTBEAT_TIMEOUT_S = 30.0
+"""Seconds without one after which a driver is dead."""
+
+
+_LOCAL_DRIVERS: set[str] = set()
+"""Drivers of this process that are at work: one that rests is dead, also where a full disk keeps its row."""
+
+
+class Drivers:
+    """The drivers of a ledger, of which this process is one from ``join`` to ``rest``."""
+
+    def __init__(self, db: sqlite3.Connection, path: Path) -> None:
+        self.id = uuid4().hex
+        self._db = db
+        self._there = f"{path.absolute().as_uri()}?mode=rw"
+        """The file's address: it is made by nobody else, should it be gone or this process in another folder."""
+        self._machine = _machine_id()
+        self._seen: dict[str, tuple[int, float]] = {}
+        self._leaving = threading.Event()
+
+    def join(self) -> None:
+        """Enter this process, start its heartbeat, and remove the drivers that were killed."""
+        self._strike_off_dead()
+        row = (self.id, self._machine, os.getpid(), _process_start_time(os.getpid()))
+        self._db.execute("INSERT INTO drivers VALUES (?, ?, ?, ?, 0)", row)
+        _LOCAL_DRIVERS.add(self.id)
+        threading.Thread(target=self._beat, daemon=True).start()
+
+    def rest(self) -> None:
+        """End the heartbeat."""
+        self._leaving.set()
+        _LOCAL_DRIVERS.discard(self.id)
+
+    def leave(self) -> None:
+        """Remove this process, and the drivers that have died meanwhile."""
+        self._strike_off_dead()
+        self._db.execute("DELETE FROM drivers WHERE id = ?", (self.id,))
+
+    def _strike_off_dead(self) -> None:
+        """Remove the rows of drivers that do not live: nobody else would."""
+        known = [driver for (driver,) in self._db.execute("SELECT id FROM drivers")]
+        dead = [(driver,) for driver in known if not self.lives(driver)]
+        self._db.executemany("DELETE FROM drivers WHERE id = ?", dead)
+
+    def lives(self, driver: str) -> bool:
+        """Return whether a driver is at work, as far as can be known."""
+        row = self._db.execute("SELECT machine, pid, born, beats FROM drivers WHERE id = ?", (driver,)).fetchone()
+        if row is None:
+            return False
+        machine, pid, born, beats = row
+        if (
+            machine == self._machine
+            and born
+            and (_process_start_time(pid) != born or (pid == os.getpid() and driver not in _LOCAL_DRIVERS))
+        ):
+            return False
+        before, since = self._seen.get(driver, (None, 0.0))
+        if before != beats:
+            self._seen[driver] = beats, time.monotonic()
+            return True
+        return time.monotonic() - since < HEARTBEAT_TIMEOUT_S
+
+    def _beat(self) -> None:
+        """Count in a thread until the driver leaves."""
+        while not self._leaving.wait(HEARTBEAT_S):
+            try:
+                db = sqlite3.connect(self._there, timeout=HEARTBEAT_S, isolation_level=None, uri=True)
+                try:
+                    db.execute("UPDATE drivers SET beats = beats + 1 WHERE id = ?", (self.id,))
+                finally:
+                    db.close()
+            except sqlite3.Error:  # busy, or the disk is full: the next beat may come through
+                continue
+
+
+def _machine_id() -> str:
+    """Return an identifier of this machine since its start; containers with processes of their own have another one."""
+    parts = [socket.gethostname()]
+    try:
+        parts.append(Path("/proc/sys/kernel/random/boot_id").read_text("utf-8").strip())
+        parts.append(os.readlink("/proc/self/ns/pid"))
+    except OSError:  # no Linux: then heartbeats alone say who lives
+        parts.append(uuid4().hex)
+    return " ".join(parts)
+
+
+def _process_start_time(pid: int) -> str:
+    """When a process has started, in ticks since the machine has; empty for none, and where that is unknown."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[19]
+    except (OSError, IndexError):
+        return ""
+
+
+LEDGER_FILE = "ledger.sqlite"
+LEDGER_VERSION = 1
+LEDGER_APPLICATION_ID = 0x6761676C
+"""The file's ``application_id``: "gagl"."""
+TASKS_SCHEMA = """CREATE TABLE tasks (
+    name TEXT PRIMARY KEY, state TEXT NOT NULL, why TEXT NOT NULL, attempts INTEGER NOT NULL, seconds REAL NOT NULL,
+    worker TEXT NOT NULL, inputs TEXT NOT NULL, options TEXT NOT NULL, code TEXT NOT NULL, about TEXT NOT NULL,
+    claimed_by TEXT NOT NULL, ended_by TEXT NOT NULL
+) WITHOUT ROWID"""
+LEDGER_SCHEMA = (TASKS_SCHEMA, DRIVERS_SCHEMA)
+MAX_LEDGER_TEXT_BYTES = 2**20
+"""Bytes of a text in the file, and of a row."""
+LEDGER_TIMEOUT_S = 60.0
+"""Seconds to wait for another driver's transaction."""
+State = Literal["open", "done", "failed", "kept"]
+"""``kept`` is what has become of a task whose result was there already; it is written as ``done``."""
+
+
+@dataclass(frozen=True)
+class LedgerEntry:
+    """A task in the ledger."""
+
+    name: str
+    state: State = "open"
+    why: str = ""
+    """Why it failed; of one that is done, how it ended."""
+    attempts: int = 0
+    """In the run that has ended it."""
+    seconds: float = 0.0
+    """Wall time of the last attempt."""
+    worker: str = ""
+    """Machine and number of the process that made it."""
+    inputs: str = ""
+    """Checksum of what it was made from."""
+    options: str = ""
+    """Checksum of the options."""
+    code: str = ""
+    """Version and fingerprint of the code."""
+    about: Mapping[str, object] = field(default_factory=dict)
+    """Other fields of a summary."""
+
+
+LEDGER_COLUMNS = tuple(LedgerEntry.__dataclass_fields__)
+
+
+EXPECTED_LEDGER = f"a ledger of version {LEDGER_VERSION}, or none: results do without"
+
+
+class Entries:
+    """The entries of a ledger that is open."""
+
+    path: Path
+    _db: sqlite3.Connection
+
+    def entries(self) -> Iterator[LedgerEntry]:
+        """Yield all entries, by name."""
+        with self._named():
+            for row in self._db.execute(f"SELECT {', '.join(LEDGER_COLUMNS)} FROM tasks ORDER BY name"):
+                yield self._entry(row)
+
+    def has(self, name: str) -> bool:
+        """Return whether a task has an entry."""
+        with self._named():
+            return self._db.execute("SELECT 1 FROM tasks WHERE name = ?", (name,)).fetchone() is not None
+
+    def _entry(self, row: sqlite3.Row) -> LedgerEntry:
+        """Convert a row to an entry. Raises ``InputError`` where it is none."""
+        values = dict(zip(LEDGER_COLUMNS, row, strict=True))
+        texts = [value for column, value in values.items() if column not in ("attempts", "seconds")]
+        try:
+            values["about"] = json.loads(values["about"])
+            good = all(isinstance(text, str) for text in texts) and isinstance(values["about"], dict)
+            good = good and isinstance(values["attempts"], int) and isinstance(values["seconds"], float)
+        except (TypeError, ValueError, RecursionError):
+            good = False
+        if not good or values["state"] not in ("open", "done", "failed"):
+            raise InputError(self.path, "tasks", "a damaged row", "a ledger, or none: results do without")
+        return LedgerEntry(**values)
+
+    def _tables(self) -> list[str]:
+        """How the tables were made."""
+        made = self._db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rowid")
+        return [sql for (sql,) in made]
+
+    def _check(self) -> None:
+        """Raise ``InputError`` where the file is of something else."""
+        is_ours = self._db.execute("PRAGMA application_id").fetchone() == (LEDGER_APPLICATION_ID,)
+        version = self._db.execute("PRAGMA user_version").fetchone()[0]
+        if not is_ours or version != LEDGER_VERSION or self._tables() != list(LEDGER_SCHEMA):
+            raise InputError(self.path, "", f"a database of another kind or version ({version})", EXPECTED_LEDGER)
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """Say which file SQLite's errors are about."""
+        try:
+            yield
+        except sqlite3.OperationalError as error:  # a full disk, no permission, no answer
+            raise GetagripError(f"{self.path}: the ledger cannot be used ({error})") from error
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter: a message that quotes damaged text
+            got = f"a file that is no ledger ({error})"
+            raise InputError(self.path, "", got, "a ledger, or none: results do without") from error
+
+
+class ReadOnlyLedger(Entries):
+    """A ledger as it is at the moment; nothing in it is changed, and whoever writes it is not disturbed."""
+
+    def __init__(self, folder: Path) -> None:
+        """Open it. Raises ``InputError`` where it is something else, ``GetagripError`` where it cannot be read."""
+        self.path = folder / LEDGER_FILE
+        with self._named():
+            self._db = files.connect(
+                self.path, LEDGER_APPLICATION_ID, EXPECTED_LEDGER, timeout=LEDGER_TIMEOUT_S, read_only=True
+            )
+        self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_LEDGER_TEXT_BYTES)
+        try:
+            with self._named():
+                self._check()
+        except BaseException:
+            self._db.close()
+            raise
+
+    def __enter__(self) -> ReadOnlyLedger:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._db.close()
+
+
+@contextmanager
+def open_existing_ledger(folder: Path) -> Iterator[Entries | None]:
+    """Open the ledger in a folder; None, with a message, where there is none that can be read: results do without."""
+    if not (folder / LEDGER_FILE).exists():
+        yield None
+        return
+    try:
+        ledger = ReadOnlyLedger(folder)
+    except GetagripError as error:
+        print_note(f"{error}; only results are listed")
+        yield None
+        return
+    with ledger:
+        yield ledger
 
 
 class Ledger(Entries):
@@ -41,7 +284,7 @@ class Ledger(Entries):
         folder.mkdir(parents=True, exist_ok=True)
         self.path = folder / LEDGER_FILE
         with self._named():
-            self._db = databases.connect(self.path, LEDGER_APPLICATION_ID, EXPECTED_LEDGER, timeout=LEDGER_TIMEOUT_S)
+            self._db = files.connect(self.path, LEDGER_APPLICATION_ID, EXPECTED_LEDGER, timeout=LEDGER_TIMEOUT_S)
         self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_LEDGER_TEXT_BYTES)
         try:
             self._prepare()

@@ -1,30 +1,91 @@
-"""The summary of a folder's clips: ``summary.csv``, and the index page with the worst of them."""
+"""The summary of a folder's clips: ``summary.csv``, and the index page with the worst of them.
+
+``--keep``: mark the results of which a share is right, in the hand or in the camera. Nothing is deleted.
+"""
 
 from __future__ import annotations
 
 import heapq
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import arg
 
 from getagrip import __version__
-from getagrip.batch.entries import Entries, LedgerEntry
-from getagrip.batch.job import Outcome
-from getagrip.batch.keep import NO_KEEP_FILTER, KeepOptions
-from getagrip.batch.streamed import local_results
-from getagrip.errors import InputError, escape_unprintable, replace_surrogates
-from getagrip.finding import read_findings
+from getagrip.batch.job import Outcome, local_results
+from getagrip.batch.ledger import Entries, LedgerEntry
+from getagrip.errors import InputError, UsageError, escape_unprintable, replace_surrogates
 from getagrip.io import files
 from getagrip.io.storage import Place, RemotePath
-from getagrip.io.tables import CsvTable
-from getagrip.probability import Probability, read_probability
+from getagrip.io.terminal import CsvTable
 from getagrip.result import is_result, read_result, read_result_record
+from getagrip.result.findings import Probability, read_findings, read_probability
 
 if TYPE_CHECKING:
-    from getagrip.pages import IndexRow
+    from getagrip.fitting.options import Options
+    from getagrip.report.pages import IndexRow
+    from getagrip.result import Reconstruction
+
+MIN_KEEP_SHARE, MAX_KEEP_SHARE = 0.5, 0.98
+"""Shares that results are calibrated for (``checks.calibration``)."""
+MAX_NAMED_RESULTS = 20
+"""Most results that are named in a line: the summary has them all."""
+
+
+@dataclass(frozen=True)
+class KeepOptions:
+    """Which results are kept. Raises ``UsageError``."""
+
+    keep: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="(default: no result is marked)")] = None
+    """Mark each result as kept or dropped, such that at least this share of the kept ones (0.5 to 0.98) is right.
+    Nothing is deleted. Calibrated with simulated and with real errors of hands."""
+    keep_in: Literal["hand", "camera"] = "hand"
+    """Frame in which kept results must be right."""
+
+    def __post_init__(self) -> None:
+        if self.keep is not None and not MIN_KEEP_SHARE <= self.keep <= MAX_KEEP_SHARE:
+            raise UsageError(f"--keep must be {MIN_KEEP_SHARE:g} to {MAX_KEEP_SHARE:g} (got {self.keep:g})")
+
+    def check(self, options: Options) -> None:
+        """Raise ``UsageError`` where results of these options have no probability: all of them would be dropped."""
+        if self.keep is not None:
+            from getagrip.fitting.stages.confidence import uncalibrated_reason
+
+            if why := uncalibrated_reason(options, ()):
+                raise UsageError(f"--keep needs the probability that results are right, and {why}")
+
+    def verdict(self, in_hand: Probability | None, in_camera: Probability | None) -> str:
+        """Return "kept" or "dropped"; empty where nothing is marked. Results without a probability are dropped."""
+        return self.mark(*(None if right is None else right.keep for right in (in_hand, in_camera)))
+
+    def mark(self, in_hand: float | None, in_camera: float | None) -> str:
+        """Return the verdict by the largest shares that a result is kept for."""
+        if self.keep is None:
+            return ""
+        share = in_hand if self.keep_in == "hand" else in_camera
+        return "kept" if share is not None and share >= self.keep else "dropped"
+
+    def marked(self, row: IndexRow, result: Reconstruction) -> IndexRow:
+        """Return a row of the index with a flag where its result is dropped."""
+        dropped = self.verdict(result.probability_right, result.probability_right_in_camera) == "dropped"
+        return replace(row, flags=(*row.flags, "dropped")) if dropped else row
+
+    def summary(self, verdicts: Mapping[str, str]) -> str:
+        """Sum up the verdicts of results by name, in a line."""
+        dropped = sorted(name for name, verdict in verdicts.items() if verdict == "dropped")
+        kept = len(verdicts) - len(dropped)
+        more = f" and {len(dropped) - MAX_NAMED_RESULTS} more" if len(dropped) > MAX_NAMED_RESULTS else ""
+        named = f"; dropped: {', '.join(dropped[:MAX_NAMED_RESULTS])}{more}" if dropped else ""
+        share = f"{kept} of {len(verdicts)} ({100.0 * kept / max(len(verdicts), 1):.0f} %) are kept"
+        return f"{share}: at least {100.0 * (self.keep or 0.0):.3g} % of such are right in the {self.keep_in}{named}"
+
+
+NO_KEEP_FILTER = KeepOptions()
+"""No mark."""
 
 SUMMARY_FILE, INDEX_FILE = "summary.csv", "index.html"
 PROBABILITY_KEYS = ("probability_right", "probability_right_in_camera")
@@ -147,7 +208,7 @@ def write_summary_table(
 
 def row_without_result(entry: LedgerEntry) -> IndexRow:
     """Make the index's row of a clip that has failed, or that is not done."""
-    from getagrip.pages import IndexRow
+    from getagrip.report.pages import IndexRow
 
     return IndexRow(display_name(entry), entry.why, flags=(STATE_NAMES[entry.state],))
 
@@ -159,7 +220,7 @@ def _write_summary_files(ledger: Entries | None, results: Place, out: Path, keep
 
 def _write_index(ledger: Entries | None, results: Place, out: Path, states: Counter[str], keep: KeepOptions) -> Path:
     """Write the index page of the worst clips; pictures are ``getagrip report``'s, which takes as long as the clips."""
-    from getagrip.pages import IndexRow, index_row_without_clip, write_index
+    from getagrip.report.pages import IndexRow, index_row_without_clip, write_index
 
     worst = heapq.nsmallest(MAX_INDEX_ROWS, known_entries(ledger, results), key=ledger_severity_key)
     rows = []

@@ -6,8 +6,8 @@ training data (docs/checks.md). ``compute_features`` is what ``CALIBRATIONS`` (`
 
 from getagrip.checks.check import Check, run_checks
 from getagrip.checks.evidence import Evidence
-from getagrip.checks.signs import compute_features
-from getagrip.checks.solved import SolvedEvidence
+from getagrip.checks.features import compute_features
+from getagrip.checks.results import SolvedEvidence
 from getagrip.checks.table import INPUT_CHECKS, MIN_MEAN_IOU, RESULT_CHECKS, input_checks, result_checks
 
 __all__ = [

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from getagrip.checks.evidence import Evidence
-from getagrip.finding import Finding
 from getagrip.io import plugins
+from getagrip.result.findings import Finding
 
 SUPERSEDED_BY = {
     "mesh-open": ("mesh-holes",),

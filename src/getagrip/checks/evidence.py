@@ -10,12 +10,11 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
-from getagrip.clip.sampling import frame_indices
+from getagrip.clip.clip import frame_indices
 from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
-from getagrip.geometry.depth import render_coverage
-from getagrip.geometry.render import nearest_surface
-from getagrip.metrics.surface_distance import moving_distance
+from getagrip.geometry.rasterize import nearest_surface, render_coverage
+from getagrip.metrics.contact import moving_distance
 from getagrip.provenance import is_assumed
 
 N_CONTACT_HAND_POINTS = 400
@@ -32,7 +31,7 @@ N_POINTS_PER_REGION = 6
 
 @dataclass(frozen=True)
 class Glitches:
-    """The frames of tracker glitches (``fitting.tracker_glitches``).
+    """The frames of tracker glitches (``fitting.hand.refine_hand``).
 
     Attributes:
         frames: names of those frames.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from getagrip.checks import frame_order, mask_agreement, plausibility, regrasp
+from getagrip.checks import inputs, results
 from getagrip.checks.check import Check, format_diameter_share, format_millimetres, format_percent
 from getagrip.checks.evidence import Evidence
 from getagrip.clip import intrinsics, modalities
@@ -31,7 +31,7 @@ def preferred_scale(it: Evidence) -> str:
 
 def describe_regrasp(it: Evidence) -> str:
     """Say where the object moves to another place in the hand."""
-    return f"the object jumps in the hand {regrasp.describe_largest_step(it)}, by {format_diameter_share(regrasp.regrasp_jump(it))} more than elsewhere"
+    return f"the object jumps in the hand {results.describe_largest_step(it)}, by {format_diameter_share(results.regrasp_jump(it))} more than elsewhere"
 
 
 def describe_deformation(it: Evidence) -> str:
@@ -56,42 +56,42 @@ MISFIT_ADVICE = (
 
 _OWN_INPUT_CHECKS: tuple[Check, ...] = (
     Check(
-        "mesh-holes", plausibility.hole_share, high=0.15, shown=format_percent,
+        "mesh-holes", inputs.hole_share, high=0.15, shown=format_percent,
         fault="holes are {value} of the mesh's surface",
         advice="close the mesh where faces are missing, or give a thin shell its two sides",
     ),
     Check(
-        "mesh-open", plausibility.hole_share, high=0.01, serious=False, shown=format_percent,
+        "mesh-open", inputs.hole_share, high=0.01, serious=False, shown=format_percent,
         fault="the mesh is open, by {value} of its surface", advice="what is inside it is a guess; close it",
     ),
     Check(
-        "mesh-flat", lambda it: plausibility.extents(it)[0], low=0.005, shown=format_percent,
+        "mesh-flat", lambda it: inputs.extents(it)[0], low=0.005, shown=format_percent,
         fault="the mesh's thickness is {value} of its length", advice="the mesh has no volume: add its thickness",
     ),
     Check(
-        "mesh-needle", lambda it: plausibility.extents(it)[1], low=0.015, shown=format_percent,
+        "mesh-needle", lambda it: inputs.extents(it)[1], low=0.015, shown=format_percent,
         fault="the mesh's width is {value} of its length",
         advice="check that it is this object's, and not stretched along one axis",
     ),
     Check(
-        "object-size", lambda it: plausibility.size_at_scale(it, "known", it.clip.mesh.diameter / it.hand_size),
+        "object-size", lambda it: inputs.size_at_scale(it, "known", it.clip.mesh.diameter / it.hand_size),
         low=0.1, high=6.0, fault="the mesh is {value} times as large as the hand",
         advice="check the units of mesh and hand; an unknown size is \"scale\": \"free\"",
     ),
     Check(
-        "mask-size", lambda it: plausibility.size_at_scale(it, "known", it.apparent_size / it.clip.mesh.diameter),
+        "mask-size", lambda it: inputs.size_at_scale(it, "known", it.apparent_size / it.clip.mesh.diameter),
         low=0.15, high=2.5,
         fault="the masks show something {value} times as large as the mesh, at the hand's distance",
         advice="check the masks' label, the mesh's size, the focal length and the hand's distance",
     ),
     Check(
-        "visible-size", lambda it: plausibility.size_at_scale(it, "free", it.apparent_size / it.hand_size),
+        "visible-size", lambda it: inputs.size_at_scale(it, "free", it.apparent_size / it.hand_size),
         low=0.1, high=8.0,
         fault="the masks show something {value} times as large as the hand, at the hand's distance",
         advice="check the masks' label, the focal length and the hand's distance",
     ),
     Check(
-        "mask-at-edges", plausibility.edge_share, high=0.7, shown=format_percent,
+        "mask-at-edges", inputs.edge_share, high=0.7, shown=format_percent,
         fault="the masks cover {value} of the image's edge",
         advice="they look like masks of the background, or of the whole image: check their label",
     ),
@@ -109,12 +109,12 @@ _OWN_INPUT_CHECKS: tuple[Check, ...] = (
         fault=camera_mismatch, advice=CAMERA_ADVICE,
     ),
     Check(
-        "focal-jumps", plausibility.focal_jump, high=1.1,
+        "focal-jumps", inputs.focal_jump, high=1.1,
         fault="from one frame to the next the focal length changes by a factor of {value}",
         advice="give one camera for all frames, unless the lens zooms",
     ),
     Check(
-        "hand-side", plausibility.finger_bend, low=-5.0, shown="{:.3g} degrees".format,
+        "hand-side", inputs.finger_bend, low=-5.0, shown="{:.3g} degrees".format,
         fault="the fingers bend by {value} towards the palm that such a hand would have",
         advice="it is the other hand, or a mirrored one: correct \"side\" in clip.json, or the hand",
     ),
@@ -128,17 +128,17 @@ _OWN_INPUT_CHECKS: tuple[Check, ...] = (
         fault=lambda it: str(it.glitches), advice="--given-hands uses it unchanged",
     ),
     Check(
-        "frame-order", frame_order.reordering_gain, high=2.5,
+        "frame-order", inputs.reordering_gain, high=2.5,
         fault="in reverse, or shifted, the masks would fit the hands {value} times better",
         advice="check that hands and masks have the same frames in the same order, counted from the same number",
     ),
     Check(
-        "frames-late", lambda it: frame_order.mask_delay(it).times, high=1.08, serious=False,
-        fault=lambda it: str(frame_order.mask_delay(it)),
+        "frames-late", lambda it: inputs.mask_delay(it).times, high=1.08, serious=False,
+        fault=lambda it: str(inputs.mask_delay(it)),
         advice="check that hands and masks count frames from the same number",
     ),
     Check(
-        "masks-follow-hand", frame_order.centroid_error, high=1.0, serious=False, shown=format_percent,
+        "masks-follow-hand", inputs.centroid_error, high=1.0, serious=False, shown=format_percent,
         fault="the masks' middles stray from the hand's motion by {value} of their size",
         advice="check that hands and masks are of the same frames, and that the grasp is stable throughout",
     ),
@@ -152,7 +152,7 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
         of_shape=True,
     ),
     Check(
-        "poor-mask-fit", mask_agreement.consistent_mean_iou, low=0.9,
+        "poor-mask-fit", results.consistent_mean_iou, low=0.9,
         fault="masks that agree with each other are met with a mean IOU of {value}",
         advice="the masks are probably right: check the hand's poses, the mesh and the camera", of_shape=True,
     ),
@@ -162,8 +162,8 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
         advice="check that frame's mask; the report shows the IOU over time",
     ),
     Check(
-        "uneven-mask-fit", mask_agreement.min_iou_ratio, low=mask_agreement.UNEVEN_IOU_RATIO, serious=False, shown=format_percent,
-        fault=mask_agreement.describe_low_iou_frames,
+        "uneven-mask-fit", results.min_iou_ratio, low=results.UNEVEN_IOU_RATIO, serious=False, shown=format_percent,
+        fault=results.describe_low_iou_frames,
         advice="look at these frames: draw the part of the object that their masks lack, or correct the hand there",
     ),
     Check(
@@ -193,11 +193,11 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
         advice="check that mesh and hand have their real sizes, and the hand its real distance",
     ),
     Check(
-        "regrasp", regrasp.regrasp_jump, high=0.06, serious=False, shown=format_percent, fault=describe_regrasp,
+        "regrasp", results.regrasp_jump, high=0.06, serious=False, shown=format_percent, fault=describe_regrasp,
         advice="if it is not one stable grasp, cut the clip there",
     ),
     Check(
-        "large-mask-misfit", mask_agreement.consistent_contour_misfit, high=6.0, fault=CONTOUR_MISFIT_MESSAGE + ", and the masks agree with each other",
+        "large-mask-misfit", results.consistent_contour_misfit, high=6.0, fault=CONTOUR_MISFIT_MESSAGE + ", and the masks agree with each other",
         advice=MISFIT_ADVICE, of_shape=True,
     ),
     Check(
@@ -228,17 +228,17 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
         advice="mend masks that include what the hand hides, or the hand itself; else one is at the wrong distance",
     ),
     Check(
-        "second-gap", plausibility.second_contact_gap, high=12.0, serious=False, shown=format_millimetres,
+        "second-gap", inputs.second_contact_gap, high=12.0, serious=False, shown=format_millimetres,
         fault="only one part of the hand is near the object, the next is {value} away",
         advice="if it is not held with one part only, sizes or distances of hand and object do not agree",
     ),
     Check(
-        "contact-gap", plausibility.median_hand_object_gap, high=15.0, shown=format_millimetres,
+        "contact-gap", inputs.median_hand_object_gap, high=15.0, shown=format_millimetres,
         fault="hand and object are {value} apart in half of the frames",
         advice="the hand does not hold the object: check the hands' distance from the camera, and try --method one-dof",
     ),
     Check(
-        "penetration", plausibility.penetration_depth, high=35.0, serious=False, shown=format_millimetres,
+        "penetration", inputs.penetration_depth, high=35.0, serious=False, shown=format_millimetres,
         fault="the hand is {value} inside the object in half of the frames",
         advice="hands, mesh size or pose are off by about as much",
     ),
@@ -248,13 +248,13 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
         advice="if it is upside down, take another candidate: tilted towards the camera it looks nearly the same",
     ),
     Check(
-        "result-size", lambda it: plausibility.size_at_scale(it, "free", it.scale * it.clip.mesh.diameter / it.hand_size),
+        "result-size", lambda it: inputs.size_at_scale(it, "free", it.scale * it.clip.mesh.diameter / it.hand_size),
         low=0.1, high=6.0,
         fault="the object was found to be {value} times as large as the hand",
         advice="a free scale needs masks and hands that agree; give the size if you know it",
     ),
     Check(
-        "hand-size", plausibility.lifted_hand_size, low=0.7, high=1.35,
+        "hand-size", inputs.lifted_hand_size, low=0.7, high=1.35,
         fault="by the object's size, or by depth, the hand would be {value} times as large as a mean one",
         advice="check the object's size, that the mesh is of such an object, and the hand's joints and depth",
     ),

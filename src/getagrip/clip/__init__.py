@@ -1,13 +1,6 @@
 """Clips: what they hold, and their folders (docs/formats.md)."""
 
-from getagrip.clip.data import (
-    Clip,
-    FrameMasks,
-    Masks,
-    PerFrame,
-    World,
-)
-from getagrip.clip.hand_track import FINGERS, HandTrack, OtherHand
+from getagrip.clip.clip import FINGERS, Clip, FrameMasks, HandTrack, Joint, Masks, OtherHand, PerFrame, Truth, World
 from getagrip.clip.masks import (
     check_masks,
     find_masks,
@@ -19,11 +12,10 @@ from getagrip.clip.masks import (
     with_masks,
 )
 from getagrip.clip.modality import MODALITIES, Modality, modalities, other_evidence, with_evidence
-from getagrip.clip.plausible import check_clip
-from getagrip.clip.reading import input_sha256, read_clip, read_name
+from getagrip.clip.read import input_sha256, read_clip, read_name
+from getagrip.clip.read_arrays import check_clip
 from getagrip.clip.timeline import Segment, State
-from getagrip.clip.truth import Joint, Truth
-from getagrip.clip.writing import write_clip
+from getagrip.clip.write import write_clip
 
 __all__ = [
     "FINGERS",

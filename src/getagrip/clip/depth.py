@@ -1,18 +1,136 @@
-"""Depth images of a clip, as samples of the pixels about hand and object: what a fit needs, in little memory."""
+"""Depth images of a clip, as samples of the pixels about hand and object: what a fit needs, in little memory.
+
+One channel of an OpenEXR file, as programs write depth: a single image of scan lines, plain or deflated.
+
+OpenCV has no reader unless it was built with one, and that one is switched off since it was unsafe with strangers'
+files. Format: https://openexr.com/en/latest/OpenEXRFileLayout.html
+
+Depth images in files: 16-bit PNG, ``.npy``, ``.npz`` of one array, EXR; ``depth/`` of a clip's folder.
+"""
 
 from __future__ import annotations
 
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.clip.data import Clip, Masks
+from getagrip.clip import read_arrays
+from getagrip.clip.clip import Clip, Masks
+from getagrip.clip.masks import masks_in_memory, read_object_masks
+from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes, project
+from getagrip.io import arrays, files
 from getagrip.io.array_data import ArrayData
+from getagrip.io.files import Json, shorten_value
+from getagrip.io.images import open_png, png_size
+
+EXR_MAGIC, SINGLE_IMAGE = 20000630, 2
+"""The first two numbers: OpenEXR, and version 2 without tiles, long names, depth lists or parts."""
+EXR_BLOCK_LINES = {0: 1, 2: 1, 3: 16}
+"""Lines of a block by the compression: none, ZIPS, ZIP."""
+EXR_DTYPES: dict[int, np.dtype[np.floating]] = {1: np.dtype("<f2"), 2: np.dtype("<f4")}
+MAX_EXR_BLOCK_BYTES, MAX_EXR_BYTES = 32 * 2**20, 2**30
+"""Bytes of a block of lines, all channels of it, and of all blocks, unpacked."""
+EXR_DEPTH_CHANNELS = ("Z", "Y", "depth", "depth.Z", "R")
+"""Channels that are taken where there are several."""
+
+
+def read_channel(path: Path, most: int) -> Float[ndarray, "H W"]:
+    """Read the channel of distances of an EXR file of at most ``most`` pixels. Raises ``InputError``."""
+    content = files.read_bytes(path)
+    try:
+        return _decode_channel(path, content, most)
+    except InputError:
+        raise
+    except (struct.error, ValueError, KeyError, IndexError, OverflowError, zlib.error) as error:
+        raise InputError(path, "", f"a damaged file ({error})", "a whole EXR file") from error
+
+
+def _decode_channel(path: Path, content: bytes, most: int) -> Float[ndarray, "H W"]:
+    if struct.unpack_from("<ii", content) != (EXR_MAGIC, SINGLE_IMAGE):
+        raise InputError(path, "", "no EXR file of one image of scan lines", "such a file, as OpenCV writes it")
+    header, start = _parse_exr_header(content)
+    left, top, right, bottom = struct.unpack("<4i", header["dataWindow"])
+    width, height, compression = right - left + 1, bottom - top + 1, header["compression"][0]
+    if min(width, height) < 1 or width * height > most:
+        raise InputError(path, "dataWindow", f"{width} x {height} pixels", f"at most {most} pixels")
+    if compression not in EXR_BLOCK_LINES:
+        raise InputError(path, "compression", f"kind {compression}", "none, ZIPS or ZIP")
+    channels = _parse_channel_types(header["channels"])
+    wanted = next((name for name in EXR_DEPTH_CHANNELS if name in channels), next(iter(channels)))
+    offsets, row = {}, 0
+    for name, dtype in channels.items():  # of each line, all of one channel, then of the next
+        offsets[name], row = row, row + dtype.itemsize * width
+    lines = EXR_BLOCK_LINES[compression]
+    if row * lines > MAX_EXR_BLOCK_BYTES or row * height > MAX_EXR_BYTES:
+        got = f"{len(channels)} channels of {width} x {height} pixels"
+        raise InputError(
+            path, "channels", got, f"blocks of at most {MAX_EXR_BLOCK_BYTES} bytes, {MAX_EXR_BYTES} in all"
+        )
+    out = np.zeros((height, width))
+    for at in struct.unpack_from(f"<{-(-height // lines)}q", content, start):
+        y, size = struct.unpack_from("<ii", content, at)
+        first = y - top
+        count = min(lines, height - first)
+        if not 0 <= first < height or size < 0:
+            raise ValueError("a block of other lines")
+        block = np.frombuffer(_inflate_block(content[at + 8 : at + 8 + size], row * count), np.uint8).reshape(
+            count, row
+        )
+        part = block[:, offsets[wanted] :][:, : channels[wanted].itemsize * width]
+        out[first : first + count] = np.ascontiguousarray(part).view(channels[wanted])
+    return out
+
+
+def _parse_exr_header(content: bytes) -> tuple[dict[str, bytes], int]:
+    """Return the header's values by their names, and where it ends."""
+    header, at = dict[str, bytes](), 8
+    while content[at]:
+        name, kind = content.index(0, at), content.index(0, content.index(0, at) + 1)
+        (size,) = struct.unpack_from("<i", content, kind + 1)
+        if size < 0:
+            raise ValueError("a negative size")
+        header[content[at:name].decode("latin-1")] = content[kind + 5 : kind + 5 + size]
+        at = kind + 5 + size
+    return header, at + 1
+
+
+def _parse_channel_types(value: bytes) -> dict[str, np.dtype[np.floating]]:
+    """Return the type of each channel, in the order of the file."""
+    found: dict[str, np.dtype[np.floating]] = {}
+    at = 0
+    while value[at]:
+        end = value.index(0, at)
+        kind, _, x, y = struct.unpack_from("<iiii", value, end + 1)
+        if (x, y) != (1, 1):
+            raise ValueError("a channel of another size")
+        found[value[at:end].decode("latin-1")] = EXR_DTYPES[kind]
+        at = end + 17
+    return found
+
+
+def _inflate_block(stored: bytes, size: int) -> bytes:
+    """Return the bytes of a block of lines: differences of neighbours, even ones before odd ones, deflated."""
+    if len(stored) == size:
+        return stored
+    inflated = np.frombuffer(zlib.decompressobj().decompress(stored, size + 1), np.uint8)
+    if len(inflated) != size:
+        raise ValueError("a block of another size")
+    values = np.cumsum(inflated, dtype=np.uint8)
+    values[1::2] ^= 128  # sums, of which 128 is taken off once for each byte, modulo 256
+    out = np.empty(size, np.uint8)
+    out[::2], out[1::2] = np.split(values, [(size + 1) // 2])
+    return out.tobytes()
+
 
 DEPTH_KEY = "depth"
 """Key of ``Clip.evidence`` and of ``clip.json``, and the folder of the images."""
@@ -161,3 +279,190 @@ def sample_window(image: Float[ndarray, "h w"], corner: Int[ndarray, "2"], strid
     (left, right), (top, bottom) = np.searchsorted(columns, [0, width]), np.searchsorted(rows, [0, height])
     out[top:bottom, left:right] = image[rows[top:bottom, None], columns[left:right]]
     return out
+
+
+DEPTH_SUFFIXES = (".png", ".npy", ".npz", ".exr")
+MAX_DEPTH_PIXELS = 40_000_000
+"""Pixels of an image."""
+MAX_METRIC_DEPTH_M = 20.0
+"""Distance beyond which metric depth of hand and object is in another unit [m]."""
+MIN_DEPTH_UNIT_M, MAX_DEPTH_UNIT_M = 1e-12, 1e6
+"""Bounds of the length that 1 stands for [m]."""
+SATURATED_DEPTH = 65535
+"""No depth in 16-bit images, as 0 is."""
+DEPTH_SOURCE_KEYS = ("scale", "source", "unit", "error")
+EXPECTED_DEPTH_IMAGE = "a depth image for each frame of clip.json that has one"
+
+
+def depth_file(folder: Path, frame: str) -> str | None:
+    """Name the depth image of a frame in a clip's folder; None where it has none."""
+    names = (f"{DEPTH_KEY}/{frame}{suffix}" for suffix in DEPTH_SUFFIXES)
+    return next((name for name in names if os.path.lexists(folder / name)), None)
+
+
+def read_depth(clip: Clip) -> Depth | None:
+    """Read the depth about hand and object in a clip's frames, an image at a time; None where its folder has none.
+
+    Raises ``InputError`` for images of several sizes or of another shape than the clip's, for negative depth, where no
+    image has depth about hand and object, and where all is too far away for the unit.
+    """
+    if clip.folder is None:
+        return None
+    if not os.path.lexists(clip.folder / DEPTH_KEY):
+        about = clip.folder / "clip.json"  # a clip that is being made has none
+        if about.is_file() and DEPTH_KEY in files.read_json(about):
+            expected = f"the description of a folder {DEPTH_KEY}, or left out"
+            raise InputError(about, DEPTH_KEY, "no such folder", expected)
+        return None
+    source = read_depth_source(clip.folder / "clip.json")
+    names = [depth_file(clip.folder, frame) for frame in clip.frames]
+    paths = [None if name is None else files.inside(clip.folder, name, "", EXPECTED_DEPTH_IMAGE) for name in names]
+    first = next((path for path in paths if path is not None), None)
+    if first is None:
+        raise InputError(clip.folder / DEPTH_KEY, "", "no image named like a frame of the clip", EXPECTED_DEPTH_IMAGE)
+    size = check_depth_shape(first, read_depth_image(first), clip.size)
+    corner, stride = sampling_windows(clip, masks_in_memory(clip) or read_object_masks(clip), size)
+    z = np.zeros((len(paths), N_WINDOW_SAMPLES, N_WINDOW_SAMPLES))
+    for n, path in enumerate(paths):
+        if path is not None:
+            z[n] = source.unit * sample_window(read_depth_image(path, size), corner[n], int(stride[n]))
+    depth = Depth(z, corner, stride, size, source)
+    known = depth.z[depth.z > 0.0]
+    if not known.size:
+        raise InputError(clip.folder / DEPTH_KEY, "", "0 in all images about hand and object", "depth in some")
+    if source.scale == "metric" and np.median(known) > MAX_METRIC_DEPTH_M:
+        got = f"a median of {np.median(known):.4g} m about hand and object"
+        raise InputError(
+            clip.folder / "clip.json",
+            f"{DEPTH_KEY}.unit",
+            got,
+            f"at most {MAX_METRIC_DEPTH_M:g} m: are these millimetres?",
+        )
+    return depth
+
+
+def sensor_images(clip: Clip) -> Iterator[tuple[int, tuple[Float[ndarray, "h w"], Float[ndarray, "3 3"]]]]:
+    """Yield the whole depth images [m] of a sensor in a clip's folder, by frame, and their intrinsics.
+
+    Raises ``InputError``.
+    """
+    if clip.folder is None or not os.path.lexists(clip.folder / DEPTH_KEY):
+        return
+    source = read_depth_source(clip.folder / "clip.json")
+    if (source.scale, source.source) != ("metric", "sensor"):
+        return
+    for n, frame in enumerate(clip.frames):
+        if (name := depth_file(clip.folder, frame)) is not None:
+            image = source.unit * read_depth_image(files.inside(clip.folder, name, "", EXPECTED_DEPTH_IMAGE))
+            zoom = np.array(image.shape[::-1]) / np.array(clip.size)
+            yield n, (image, np.diag([*zoom, 1.0]) @ clip.K[n])
+
+
+def read_depth_source(path: Path) -> DepthSource:
+    """Read what depth images are in a ``clip.json``. Raises ``InputError``."""
+    stored = files.read_json(path).get(DEPTH_KEY)
+    if not isinstance(stored, dict):
+        raise InputError(path, DEPTH_KEY, shorten_value(stored), "an object: what the images in the folder depth are")
+    return parse_depth_source(path, stored)
+
+
+def parse_depth_source(path: Path, stored: Json) -> DepthSource:
+    """Parse what depth images are. Raises ``InputError``."""
+    allowed = {"scale": ("metric", "clip", "frame"), "source": ("sensor", "network")}
+    unknown = next((key for key in stored if key not in DEPTH_SOURCE_KEYS), None)
+    if unknown is not None:
+        raise InputError(
+            path, f"{DEPTH_KEY}.{files.printable(unknown)}", "an unknown key", f"one of {', '.join(DEPTH_SOURCE_KEYS)}"
+        )
+    for key, values in allowed.items():
+        if stored.get(key) not in values:
+            raise InputError(path, f"{DEPTH_KEY}.{key}", shorten_value(stored.get(key)), " or ".join(values))
+    for key, most in {"unit": MAX_DEPTH_UNIT_M, "error": 1.0}.items():
+        value = stored.get(key, 1.0 if key == "error" else None)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= most:
+            raise InputError(path, f"{DEPTH_KEY}.{key}", shorten_value(value), f"a number above 0, at most {most:g}")
+    return DepthSource(stored["scale"], stored["source"], float(stored["unit"]), float(stored.get("error", np.nan)))
+
+
+def depth_source_fields(source: DepthSource) -> Json:
+    """Return ``depth`` of ``clip.json``."""
+    error = {} if np.isnan(source.error) else {"error": source.error}
+    return {"scale": source.scale, "source": source.source, "unit": source.unit, **error}
+
+
+def check_depth_shape(path: Path, image: Float[ndarray, "h w"], size: tuple[int, int]) -> tuple[int, int]:
+    """Return width and height of a depth image. Raises ``InputError`` for another shape than the clip's images have."""
+    height, width = image.shape
+    read_arrays.check_shape(path, "size", (width, height), size)
+    return width, height
+
+
+def read_depth_image(path: Path, size: tuple[int, int] | None = None) -> Float[ndarray, "h w"]:
+    """Read a depth image in its file's unit, 0 where there is none; of a ``size`` if given. Raises ``InputError``."""
+    image = DEPTH_READERS[path.suffix.lower()](path)
+    if size is not None and image.shape != size[::-1]:
+        value = f"{image.shape[1]} x {image.shape[0]} pixels"
+        raise InputError(path, "size", value, f"{size[0]} x {size[1]}, as the first image")
+    return image
+
+
+def check_depth_array(path: Path, key: str, stored: ndarray) -> Float[ndarray, "h w"]:
+    """Return an array as depth: 0 where it is not finite. Raises ``InputError`` for other arrays than of one image."""
+    array = (
+        stored.reshape(stored.shape[-2:]) if stored.ndim > 2 and stored.size == np.prod(stored.shape[-2:]) else stored
+    )
+    if array.ndim != 2 or array.dtype.kind not in "fiu" or not 0 < array.size <= MAX_DEPTH_PIXELS:
+        got = f"{stored.dtype} of shape {stored.shape}"
+        raise InputError(path, key, got, f"numbers of shape (height, width), at most {MAX_DEPTH_PIXELS} of them")
+    image = np.where(np.isfinite(array), array, 0.0)
+    if image.min() < 0.0:
+        raise InputError(path, key, f"numbers down to {image.min():g}", "distances, 0 for none: no disparities")
+    return np.asarray(image, dtype=float)
+
+
+def read_png16(path: Path) -> Float[ndarray, "h w"]:
+    """Read a 16-bit PNG of one channel. Raises ``InputError``."""
+    image, colours, bits = open_png(path, png_size(path, MAX_DEPTH_PIXELS))
+    if (colours, bits) != ("grey", 16):
+        raise InputError(path, "channels", f"{bits} bit {colours}", "16 bit, one channel (grey)")
+    values = np.array(image)
+    return np.where(values == SATURATED_DEPTH, 0, values).astype(float)
+
+
+def _read_npy_depth(path: Path) -> Float[ndarray, "h w"]:
+    return check_depth_array(path, "", arrays.parse_npy(path, "", files.read_bytes(path, arrays.MAX_NPZ_BYTES)))
+
+
+def _read_npz_depth(path: Path) -> Float[ndarray, "h w"]:
+    stored = arrays.read(path, lambda _: True)
+    key = DEPTH_KEY if DEPTH_KEY in stored else next(iter(stored), DEPTH_KEY)
+    if key not in stored or (key != DEPTH_KEY and len(stored) > 1):
+        raise InputError(path, DEPTH_KEY, f"{len(stored)} arrays without this one", "the array, or one alone")
+    return check_depth_array(path, key, stored[key])
+
+
+def _read_exr_depth(path: Path) -> Float[ndarray, "h w"]:
+    return check_depth_array(path, "", read_channel(path, MAX_DEPTH_PIXELS))
+
+
+DEPTH_READERS: dict[str, Callable[[Path], Float[ndarray, "h w"]]] = {
+    ".png": read_png16, ".npy": _read_npy_depth, ".npz": _read_npz_depth, ".exr": _read_exr_depth
+}  # fmt: skip
+
+
+def write_clip_depth(clip: Clip, depth: Depth, folder: Path) -> None:
+    """Write the depth of a clip into its new folder, and what it is into the ``clip.json`` there.
+
+    Images in the clip's own folder are copied; of samples in memory, images are written that have these pixels alone.
+    """
+    fields, path = depth_source_fields(depth.source), folder / "clip.json"
+    target = files.folder_inside(folder, DEPTH_KEY)
+    for n, frame in enumerate(clip.frames):
+        name = None if clip.folder is None else depth_file(clip.folder, frame)
+        if clip.folder is not None and name is not None:
+            files.write_bytes(
+                folder / name, files.read_bytes(files.inside(clip.folder, name, "", EXPECTED_DEPTH_IMAGE))
+            )
+        elif depth.z[n].any():
+            arrays.write(target / f"{frame}.npz", {DEPTH_KEY: (depth.image(n) / depth.source.unit).astype(np.float32)})
+    files.write_json(path, {**files.read_json(path), DEPTH_KEY: fields})

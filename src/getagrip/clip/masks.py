@@ -1,4 +1,7 @@
-"""Masks in a clip's folder and in a clip: read at the frames that are asked for, no more in memory at once."""
+"""Masks in a clip's folder and in a clip: read at the frames that are asked for, no more in memory at once.
+
+Hand occlusion where no mask shows it: the input hands, drawn over the object.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
-from getagrip.clip.data import Clip, FrameMasks, Masks
-from getagrip.clip.sampling import frame_indices
-from getagrip.errors import InputError, UsageError
+from getagrip.clip.clip import Clip, FrameMasks, Masks, frame_indices
+from getagrip.errors import InputError, UsageError, check_arguments
+from getagrip.geometry import se3
 from getagrip.io import files
 from getagrip.io.array_data import ArrayData
-from getagrip.io.images import read_png, write_mask
-from getagrip.io.named import check_arguments
-from getagrip.io.packed_masks import PackedMasks
+from getagrip.io.images import PackedMasks, read_png, write_mask
 
 OBJECT_MASKS_KEY, HAND_MASKS_KEY = "object-masks", "hand-masks"
 """Keys of ``Clip.evidence``: the names of the two modalities that masks are."""
@@ -205,3 +206,29 @@ def observed_frames(clip: Clip, observed: Bool[ndarray, "T"], most: int | None =
     if most is not None:
         index = index[frame_indices(len(index), most)]
     return replace(clip.take(index), left_out=(*clip.left_out, *unobserved))
+
+
+def occluded_by_hand(clip: Clip, masks: Masks) -> Masks:
+    """Ignore the pixels that the clip's hands cover and the object's mask does not.
+
+    Of a frame whose mask is not known, all still are.
+    """
+    from getagrip.geometry.rasterize import render_coverage
+
+    hands = [(clip.hand, np.ones(len(clip), dtype=bool))]
+    if clip.other_hand is not None:
+        hands.append((clip.other_hand.track, clip.other_hand.known))
+    posed = [(se3.transform(hand.T_cam_hand, hand.vertices), hand.faces, known) for hand, known in hands]
+
+    unknown = ~masks.known
+
+    def hidden(n: int, visible: Bool[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
+        if unknown[n]:
+            return np.ones_like(visible)
+        ignore = np.zeros_like(visible)
+        for vertices, faces, known in posed:
+            if known[n]:
+                ignore |= render_coverage(vertices[n], faces, clip.K[n], clip.size)
+        return ignore & ~visible
+
+    return Masks(masks.object, PackedMasks.of(map(hidden, range(len(clip)), masks.object), clip.size).as_array())

@@ -15,7 +15,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar, cast
 
-from getagrip.clip.data import Clip, PerFrame
+from getagrip.clip.clip import Clip, PerFrame
 from getagrip.io.plugins import PluginTable
 
 if TYPE_CHECKING:  # the only upward look: what a modality answers with is defined where it is used
@@ -58,10 +58,10 @@ class Modality(ABC, Generic[D_co]):
 
 
 BUILTIN_MODALITIES: Mapping[str, Modality[PerFrame] | str] = {
-    "object-masks": "getagrip.evidence.masks:ObjectMasks",
-    "hand-masks": "getagrip.evidence.masks:HandMasks",
-    "joints-2d": "getagrip.evidence.joints_2d:HandJoints2D",
-    "depth": "getagrip.evidence.depth:DepthImages",
+    "object-masks": "getagrip.fitting.evidence.silhouettes:ObjectMasks",
+    "hand-masks": "getagrip.fitting.evidence.silhouettes:HandMasks",
+    "joints-2d": "getagrip.fitting.evidence.joints_2d:HandJoints2D",
+    "depth": "getagrip.fitting.evidence.depth_images:DepthImages",
 }
 MODALITIES = PluginTable(
     "modalities",

@@ -22,12 +22,9 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 from numpy import ndarray
 
-from getagrip.export.bones import HAND_JOINT_NAMES
-from getagrip.export.scene import Scene
-from getagrip.export.stage import StageFrame, joints_on_stage, pose7
-from getagrip.io import extras, files
-from getagrip.io.images import read_image
-from getagrip.io.videos import write_video
+from getagrip.export.scene import HAND_JOINT_NAMES, Scene, StageFrame, joints_on_stage, pose7
+from getagrip.io import files, plugins
+from getagrip.io.images import read_image, write_video
 
 if TYPE_CHECKING:
     import pyarrow
@@ -65,7 +62,7 @@ class Episode(NamedTuple):
     @staticmethod
     def of(scene: Scene) -> Episode:
         """Make it. Raises ``UsageError`` without pyarrow or joints, ``InputError`` for unreadable images."""
-        extras.import_extra("pyarrow", "lerobot")
+        plugins.import_extra("pyarrow", "lerobot")
         scene = scene.even(integer_fps(scene))
         stage, pictures, fps = StageFrame.of(scene), EpisodeImages.of(scene), integer_fps(scene)
         columns = _feature_columns(scene, stage)
@@ -259,7 +256,7 @@ def _dataset_info(made: Episode, splits: Mapping[str, str], frames: int, tasks: 
 
 def _write_table(path: Path, columns: Mapping[str, object], metadata: dict[bytes, bytes] | None = None) -> None:
     """Write a Parquet file; arrays with several numbers in a row become lists of that length."""
-    pa, parquet = extras.import_extra("pyarrow", "lerobot"), extras.import_extra("pyarrow.parquet", "lerobot")
+    pa, parquet = plugins.import_extra("pyarrow", "lerobot"), plugins.import_extra("pyarrow.parquet", "lerobot")
 
     def column(values: object) -> pyarrow.Array:
         if isinstance(values, ndarray) and values.ndim == 2:

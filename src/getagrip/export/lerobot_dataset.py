@@ -32,7 +32,7 @@ from getagrip.export.lerobot import (
     write_meta,
 )
 from getagrip.export.scene import Scene
-from getagrip.io import extras, files, leftovers, locks, numbers
+from getagrip.io import arrays, files, plugins
 from getagrip.io.files import Json
 
 STATISTIC_NAMES = ("min", "max", "mean", "std", "count", *(f"q{round(100 * q):02d}" for q in STATISTICS_QUANTILES))
@@ -60,8 +60,8 @@ class LerobotDataset:
         """Open the dataset in a folder, or begin one. Raises ``InputError`` for other things."""
         made = LerobotDataset(folder)
         if folder.is_dir():
-            leftovers.remove_stale_folders(folder)
-            with locks.hold_lock(folder):  # else another process may add episodes after its description was read
+            files.remove_stale_folders(folder)
+            with files.hold_lock(folder):  # else another process may add episodes after its description was read
                 made._catch_up()
         if not made.info and folder.exists() and {one.name for one in folder.iterdir()} - {"data", "meta", "videos"}:
             raise InputError(folder, "", "other files", "a dataset of LeRobot, or a new folder")
@@ -76,7 +76,7 @@ class LerobotDataset:
         if not path.exists():
             self._refuse_others(path, 0)
             return
-        parquet = extras.import_extra("pyarrow.parquet", "lerobot")
+        parquet = plugins.import_extra("pyarrow.parquet", "lerobot")
         self.info = files.read_json(files.inside(self.folder, "meta/info.json", "", "the dataset's description"))
         _check_info(path, self.info)
         self._refuse_others(path, self.info["total_episodes"])
@@ -90,7 +90,7 @@ class LerobotDataset:
                         self.folder, VIDEO_FILE_PATTERN.format(video_key=name, **place), "", "an episode's video"
                     )
             try:
-                with numbers.convert_to_input_errors(source):
+                with arrays.convert_to_input_errors(source):
                     table = parquet.ParquetFile(source)
                     if table.metadata.num_rows != 1:
                         raise InputError(source, "", f"{table.metadata.num_rows} rows", "one, the episode's record")
@@ -138,7 +138,7 @@ class LerobotDataset:
         """
         made = Episode.of(scene)
         files.folder_inside(self.folder, "meta")
-        with locks.hold_lock(self.folder):
+        with files.hold_lock(self.folder):
             self._catch_up()
             clips = [record.get("clip") for record in self.records]
             return clips.index(scene.name) if scene.name in clips else self._append(made, scene.name, split)
@@ -149,7 +149,7 @@ class LerobotDataset:
         self._check(made, clip)
         tasks = self.tasks if made.task in self.tasks else [*self.tasks, made.task]
         begin = int(self.records[-1]["dataset_to_index"]) if self.records else 0
-        with leftovers.temporary_folder(self.folder) as work:
+        with files.temporary_folder(self.folder) as work:
             record = made.write(work, number, begin, tasks.index(made.task), {"clip": clip, "split": split})
             for path in filter(Path.is_file, sorted(work.rglob("*"))):
                 place = path.relative_to(work)

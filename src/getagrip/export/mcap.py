@@ -16,10 +16,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.export.scene import Scene
-from getagrip.export.stage import StageFrame
+from getagrip.export.scene import Scene, StageFrame
 from getagrip.geometry import se3
-from getagrip.io import extras, files
+from getagrip.io import files, plugins
 from getagrip.io.images import read_image
 
 MCAP_FILE = "scene.mcap"
@@ -65,7 +64,7 @@ CALIBRATION_SCHEMA = _object_schema(
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write ``scene.mcap`` and meshes. Raises ``UsageError`` without mcap, ``InputError`` for unreadable images."""
-    writing = extras.import_extra("mcap.writer", "mcap")
+    writing = plugins.import_extra("mcap.writer", "mcap")
     stage, channels = StageFrame.of(scene), dict[str, int]()
     with files.new_file(folder / MCAP_FILE) as path, path.open("wb") as stream:
         writer = writing.Writer(stream)

@@ -16,13 +16,20 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.errors import UsageError
-from getagrip.export.bones import BONE_END_JOINTS, HAND_JOINT_NAMES, Bones
-from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, Scene, safe_file_name
-from getagrip.export.stage import StageFrame
+from getagrip.export.scene import (
+    BONE_END_JOINTS,
+    HAND_COLOUR,
+    HAND_JOINT_NAMES,
+    OBJECT_COLOUR,
+    Bones,
+    Scene,
+    StageFrame,
+    safe_file_name,
+)
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import write_mesh
-from getagrip.io import extras, files
+from getagrip.io import files, plugins
 
 MJCF_FILE = "scene.xml"
 MAX_CONVEX_PIECES = 32
@@ -41,7 +48,7 @@ MUJOCO_CAMERA_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write ``scene.xml`` and its meshes. Raises ``UsageError`` without mujoco, and where MuJoCo refuses the scene."""
-    library = extras.import_extra("mujoco", "mujoco")
+    library = plugins.import_extra("mujoco", "mujoco")
     on_stage, bones = StageFrame.of(scene), Bones.of(scene)
     T_stage_obj, T_stage_hand = on_stage.poses(scene)
     (folder / "assets").mkdir()
@@ -95,7 +102,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 def convex_decomposition(mesh: Mesh) -> list[Mesh]:
     """Split a mesh into convex pieces (V-HACD), or return its hull where it has no inside. Raises ``UsageError``."""
     faces = np.column_stack([np.full(len(mesh.faces), 3), mesh.faces]).astype(np.uint32).ravel()
-    found = extras.import_extra("vhacdx", "mujoco").compute_vhacd(
+    found = plugins.import_extra("vhacdx", "mujoco").compute_vhacd(
         mesh.vertices, faces, maxConvexHulls=MAX_CONVEX_PIECES, resolution=N_DECOMPOSITION_VOXELS, asyncACD=False
     )
     pieces = [Mesh(np.asarray(v, dtype=float), np.asarray(f).reshape(-1, 3).astype(np.int64)) for v, f in found]

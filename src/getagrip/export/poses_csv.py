@@ -13,7 +13,7 @@ from numpy import ndarray
 from getagrip.export.scene import CAMERA_AXES_NOTE, Scene
 from getagrip.geometry import se3
 from getagrip.io import files
-from getagrip.io.tables import escape_cell
+from getagrip.io.terminal import escape_cell
 
 POSE_CSV_COLUMNS = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 

@@ -21,13 +21,11 @@ from numpy import ndarray
 from scipy.interpolate import CubicSpline
 
 from getagrip.errors import UsageError
-from getagrip.export.bones import bone_distances
 from getagrip.export.mujoco import OBJECT_DENSITY_KG_M3, convex_decomposition
-from getagrip.export.scene import Scene
-from getagrip.export.stage import StageFrame
+from getagrip.export.scene import Scene, StageFrame, bone_distances
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.io import extras
+from getagrip.io import plugins
 
 if TYPE_CHECKING:
     from mujoco import MjData, MjModel
@@ -80,7 +78,7 @@ class Replay:
 
 def simulate_replay(scene: Scene) -> Replay:
     """Simulate a scene. Raises ``UsageError`` without mujoco, joints or a second frame."""
-    library = extras.import_extra("mujoco", "mujoco", "replay")
+    library = plugins.import_extra("mujoco", "mujoco", "replay")
     if len(scene.frames) < 2:
         raise UsageError(f"replay needs two frames or more (got {len(scene.frames)})")
     stage = StageFrame.of(scene)

@@ -1,4 +1,9 @@
-"""The scene to export: a result with its clip, as poses in time."""
+"""The scene to export: a result with its clip, as poses in time.
+
+A hand as 20 rigid bones between its 21 joints, for programs that know rigid bodies only.
+
+The stage: a frame that stands still, in metres, z up, as simulators and robots need; and the frame of the palm.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +19,7 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation, Slerp
 
 from getagrip.clip import Clip, OtherHand, World
+from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.io import files
@@ -280,3 +286,156 @@ def _provenance_file_names(entry: object) -> dict[str, str]:
     """Names of a clip's provenance as they can be in those of files; nothing of what are none."""
     named = entry.items() if isinstance(entry, dict) else ()
     return {str(key): safe_file_name(value) for key, value in named if isinstance(value, str)}
+
+
+HAND_JOINT_NAMES = (
+    "wrist",
+    *(f"{finger}_{part}" for finger in ("thumb", "index", "middle", "ring", "pinky") for part in (1, 2, 3, "tip")),
+)
+"""Names of the 21 joints in this package's order: wrist, then each finger from the palm to the tip."""
+BONE_END_JOINTS = tuple((0 if n % 4 == 1 else n - 1, n) for n in range(1, 21))
+"""The joints at the beginning and the end of each bone."""
+BONE_RADIUS_QUANTILE = 0.25
+"""Share of a bone's vertices that are nearer than its radius."""
+MIN_BONE_RADIUS_M = 0.003
+"""Least radius of a bone [m], whatever the mesh."""
+
+
+@dataclass(frozen=True)
+class Bones:
+    """The bones of a hand over T frames.
+
+    Attributes:
+        T_hand_bone: (T, 20, 4, 4) poses: the origin is where the bone begins, z along it.
+        length: (20,) median lengths [m].
+        radius: (20,) half of their thickness [m], such that they lie within the hand.
+    """
+
+    T_hand_bone: Float[ndarray, "T 20 4 4"]
+    length: Float[ndarray, "20"]
+    radius: Float[ndarray, "20"]
+
+    @staticmethod
+    def of(scene: Scene) -> Bones | None:
+        """Return the bones of the scene's hand; None where its joints are not known."""
+        if scene.joints is None:
+            return None
+        begin, end = (scene.joints[:, [pair[k] for pair in BONE_END_JOINTS]] for k in (0, 1))
+        along = end - begin
+        length = np.linalg.norm(along, axis=-1)
+        straight = np.where(length[..., None] > 1e-6, along / np.maximum(length, 1e-6)[..., None], [0.0, 0.0, 1.0])
+        rest = se3.rotation_between(np.array([0.0, 0.0, 1.0]), straight[0])
+        R = se3.rotation_between(straight[:1], straight) @ rest
+        typical = np.median(length, axis=0)
+        return Bones(se3.rigid(R, begin), typical, _bone_radii(bone_distances(scene)))
+
+
+def bone_distances(scene: Scene) -> Float[ndarray, "V 20"]:
+    """Compute the distance of each vertex from each bone in the first frame [m]. The joints are known."""
+    assert scene.joints is not None
+    begin, end = (scene.joints[0, [pair[k] for pair in BONE_END_JOINTS]] for k in (0, 1))
+    points, along = scene.hand_vertices[0], end - begin
+    share = np.sum((points[:, None] - begin) * along, axis=-1) / np.maximum(np.sum(along**2, axis=-1), 1e-12)
+    nearest = begin + np.clip(share, 0.0, 1.0)[..., None] * along
+    return np.asarray(np.linalg.norm(points[:, None] - nearest, axis=-1))
+
+
+def _bone_radii(distance: Float[ndarray, "V 20"]) -> Float[ndarray, "20"]:
+    """Compute each bone's distance to the surface near it, over the vertices that no other bone is nearer to.
+
+    A capsule as thick as the palm would reach into the object.
+    """
+    owner = np.argmin(distance, axis=1)
+    found = [
+        np.quantile(distance[owner == n, n], BONE_RADIUS_QUANTILE) if np.any(owner == n) else MIN_BONE_RADIUS_M
+        for n in range(distance.shape[1])
+    ]
+    return np.maximum(found, MIN_BONE_RADIUS_M)
+
+
+Z = np.array([0.0, 0.0, 1.0])
+"""Up on a stage."""
+WRIST_JOINT, INDEX_KNUCKLE_JOINT, MIDDLE_KNUCKLE_JOINT, RING_KNUCKLE_JOINT = 0, 5, 9, 13
+"""The wrist, and knuckles, among the 21 joints."""
+FINGERTIP_JOINTS = (4, 8, 12, 16, 20)
+"""Fingertips, thumb to pinky."""
+
+
+@dataclass(frozen=True)
+class StageFrame:
+    """A frame that stands still, z up.
+
+    Attributes:
+        T_stage_cam: (T, 4, 4) pose of the camera, camera frame to stage frame [m].
+        words: what the frame is, and what of it is a guess.
+    """
+
+    T_stage_cam: Float[ndarray, "T 4 4"]
+    words: str
+
+    @staticmethod
+    def of(scene: Scene) -> StageFrame:
+        """Make the stage: the world frame turned z up.
+
+        Without a world the camera is taken to stand still, without up to be level.
+        """
+        up = None if scene.world is None else scene.world.up
+        if scene.world is None:
+            T = np.tile(np.eye(4), (len(scene.frames), 1, 1))
+            words = "the camera's own frame, the camera taken to stand still and to be level (a guess)"
+        elif up is None:
+            T = scene.world.T_world_cam
+            words = "the clip's world, the camera taken to be level in the first frame (a guess)"
+        else:
+            T, words = scene.world.T_world_cam, "the clip's world"
+        if up is None:
+            up = -T[0, :3, 1]
+        turn = se3.rigid(se3.rotation_between(up / np.linalg.norm(up), Z))
+        return StageFrame(np.asarray(turn @ T), f"{words}, turned z up; metres")
+
+    def poses(self, scene: Scene) -> tuple[Float[ndarray, "T 4 4"], Float[ndarray, "T 4 4"]]:
+        """Return the (T, 4, 4) poses of the object and of the hand on the stage."""
+        return np.asarray(self.T_stage_cam @ scene.T_cam_obj), np.asarray(self.T_stage_cam @ scene.T_cam_hand)
+
+
+def joints_on_stage(scene: Scene, stage: StageFrame, to: str) -> Float[ndarray, "T 21 3"]:
+    """Return the joints, z up [m]. Raises ``UsageError``, in the name of a format, where they are not known."""
+    if scene.joints is None:
+        raise UsageError(f"missing joints in hand.npz of the clip {scene.name}: --to {to} needs 21")
+    return se3.transform(stage.poses(scene)[1], scene.joints)
+
+
+def palm_orientation(joints: Float[ndarray, "T 21 3"], side: str, across: int) -> Float[ndarray, "T 3 3"]:
+    """Return the palm's orientation.
+
+    z points from the wrist to the middle knuckle, y of a right hand to the index finger's side. ``across`` is the
+    knuckle from which the index knuckle is seen. A left hand's x and y are turned round.
+    """
+    z = _normalise(joints[:, MIDDLE_KNUCKLE_JOINT] - joints[:, WRIST_JOINT])
+    x = _normalise(np.cross(joints[:, INDEX_KNUCKLE_JOINT] - joints[:, across], z))
+    y = np.cross(z, x)
+    sign = -1.0 if side == "left" else 1.0
+    return np.stack([sign * x, sign * y, z], axis=-1)
+
+
+def pose7(T: Float[ndarray, "T 4 4"], last: str) -> Float[ndarray, "T 7"]:
+    """Return positions [m] and quaternions: first the position, then (w, x, y, z).
+
+    Or (x, y, z, w), then the position.
+    """
+    q, t = se3.quaternions_in_time(T[:, :3, :3]), T[:, :3, 3]
+    return np.concatenate([t, q] if last == "wxyz" else [np.roll(q, -1, axis=1), t], axis=1)
+
+
+def extra_arrays(scene: Scene) -> dict[str, ndarray]:
+    """Return the arrays that the programs pass over: all poses, times and the kinds of the frames' poses."""
+    return {
+        **scene.poses,
+        "time_s": scene.time,
+        "frames": np.array(scene.frames, dtype=np.str_),
+        "frame_kind": np.array(scene.frame_kind, dtype=np.str_),
+    }
+
+
+def _normalise(v: Float[ndarray, "T 3"]) -> Float[ndarray, "T 3"]:
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-12))

@@ -12,16 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.export.scene import Scene, safe_file_name
-from getagrip.export.stage import (
+from getagrip.export.scene import (
     FINGERTIP_JOINTS,
     RING_KNUCKLE_JOINT,
     WRIST_JOINT,
+    Scene,
     StageFrame,
     extra_arrays,
     joints_on_stage,
     palm_orientation,
     pose7,
+    safe_file_name,
 )
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import write_mesh

@@ -15,9 +15,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, ExportedHand, Scene
-from getagrip.export.stage import StageFrame
-from getagrip.io import extras
+from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, ExportedHand, Scene, StageFrame
+from getagrip.io import plugins
 
 if TYPE_CHECKING:
     from pxr import Gf, Usd, Vt
@@ -31,7 +30,7 @@ CAMERA_APERTURE = 20.955
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write ``scene.usdc``. Raises ``UsageError`` without usd-core."""
-    Usd, UsdGeom = extras.import_extra("pxr.Usd", "usd"), extras.import_extra("pxr.UsdGeom", "usd")
+    Usd, UsdGeom = plugins.import_extra("pxr.Usd", "usd"), plugins.import_extra("pxr.UsdGeom", "usd")
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -68,7 +67,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
 def _write_metadata(root: Usd.Prim, scene: Scene, on_stage: StageFrame, codes: list[float]) -> None:
     """Write what USD has no place for: notes; in time, the frames' names, the kinds of their poses, and all poses."""
-    Sdf = extras.import_extra("pxr.Sdf", "usd")
+    Sdf = plugins.import_extra("pxr.Sdf", "usd")
     notes = {"clip": scene.name, "method": scene.method, "frame": on_stage.words, "notes": "\n".join(scene.notes)}
     root.SetCustomData({"getagrip": {key: text.replace("\0", " ") for key, text in notes.items()}})
     for name, values in {"frame": scene.frames, "frame_kind": scene.frame_kind}.items():
@@ -86,7 +85,7 @@ def _write_metadata(root: Usd.Prim, scene: Scene, on_stage: StageFrame, codes: l
 
 def _add_animated_transform(stage: Usd.Stage, path: str, T: Float[ndarray, "T 4 4"], codes: list[float]) -> None:
     """Add a node whose transform is sampled in time."""
-    UsdGeom = extras.import_extra("pxr.UsdGeom", "usd")
+    UsdGeom = plugins.import_extra("pxr.UsdGeom", "usd")
     op = UsdGeom.Xform.Define(stage, path).AddTransformOp()
     for code, matrix in zip(codes, T, strict=True):
         op.Set(_usd_matrix(matrix), code)
@@ -96,7 +95,7 @@ def _add_usd_hand(
     stage: Usd.Stage, hand: ExportedHand, T_stage_hand: Float[ndarray, "T 4 4"], codes: list[float]
 ) -> None:
     """Add a hand's transform, mesh and joints; invisible while it is not known."""
-    UsdGeom = extras.import_extra("pxr.UsdGeom", "usd")
+    UsdGeom = plugins.import_extra("pxr.UsdGeom", "usd")
     path = f"/clip/{hand.name}"
     _add_animated_transform(stage, path, T_stage_hand, codes)
     _add_mesh(stage, f"{path}/mesh", hand.faces, HAND_COLOUR, hand.vertices, codes)
@@ -121,7 +120,7 @@ def _add_mesh(
     codes: Sequence[float | Usd.TimeCode],
 ) -> None:
     """Add a mesh of triangles, its points at some times."""
-    UsdGeom, Vt = extras.import_extra("pxr.UsdGeom", "usd"), extras.import_extra("pxr.Vt", "usd")
+    UsdGeom, Vt = plugins.import_extra("pxr.UsdGeom", "usd"), plugins.import_extra("pxr.Vt", "usd")
     mesh = UsdGeom.Mesh.Define(stage, path)
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray([3] * len(faces)))
@@ -134,7 +133,7 @@ def _add_mesh(
 
 def _add_camera(stage: Usd.Stage, scene: Scene, on_stage: StageFrame, codes: list[float]) -> None:
     """Add the clip's camera: apertures in tenths of a unit for the image's width and height."""
-    UsdGeom, Gf = extras.import_extra("pxr.UsdGeom", "usd"), extras.import_extra("pxr.Gf", "usd")
+    UsdGeom, Gf = plugins.import_extra("pxr.UsdGeom", "usd"), plugins.import_extra("pxr.Gf", "usd")
     camera = UsdGeom.Camera.Define(stage, "/clip/camera")
     move = camera.AddTransformOp()
     width, height = scene.size
@@ -153,8 +152,8 @@ def _add_camera(stage: Usd.Stage, scene: Scene, on_stage: StageFrame, codes: lis
 
 
 def _usd_points(points: Float[ndarray, "V 3"]) -> Vt.Vec3fArray:
-    return extras.import_extra("pxr.Vt", "usd").Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
+    return plugins.import_extra("pxr.Vt", "usd").Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
 
 
 def _usd_matrix(T: Float[ndarray, "4 4"]) -> Gf.Matrix4d:
-    return extras.import_extra("pxr.Gf", "usd").Matrix4d(np.ascontiguousarray(T.T))
+    return plugins.import_extra("pxr.Gf", "usd").Matrix4d(np.ascontiguousarray(T.T))

@@ -14,19 +14,16 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.fitting.contact import HandContacts, farthest_point_sampling
 from getagrip.fitting.energy import Energy, HandEnergy, HandTerm, InHand, OnHand, Term
+from getagrip.fitting.energy.contact import HandContacts, PullTerm, PushTerm, farthest_point_sampling
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
-from getagrip.fitting.energy.hand_mask import HandMaskTerm
+from getagrip.fitting.energy.hand_terms import HandMaskTerm, SeenJointsTerm
 from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
-from getagrip.fitting.energy.order import HandOrder, OrderTerm, corners_of
-from getagrip.fitting.energy.pull import PullTerm
-from getagrip.fitting.energy.push import PushTerm
-from getagrip.fitting.energy.seen_joints import SeenJointsTerm
-from getagrip.fitting.hand_refinement import HAND_PIXEL_WEIGHT
-from getagrip.fitting.hand_silhouette import HandSilhouette, hand_crops
+from getagrip.fitting.energy.occlusion_order import HandOrder, OrderTerm, corners_of
+from getagrip.fitting.hand.hand_silhouette import HandSilhouette, hand_crops
+from getagrip.fitting.hand.joint_reprojection import SeenJoints
+from getagrip.fitting.hand.refine_hand import HAND_PIXEL_WEIGHT
 from getagrip.fitting.problem import Problem
-from getagrip.fitting.seen_joints import SeenJoints
 from getagrip.geometry.mesh import decimate
 
 MASK_STEP_PX = {64: 1.0, 128: 2.0, 256: 3.0}

@@ -9,11 +9,9 @@ from typing import Annotated, Literal
 
 from tyro.conf import Fixed, FlagConversionOff, Suppress, arg
 
-from getagrip.errors import UsageError
+from getagrip.errors import NamedFields, UsageError
 from getagrip.fitting.methods import METHODS, method_of
-from getagrip.io.arguments import Flag, expand_user_path, parsed_argument, switch
-from getagrip.io.choices import check_values, explain_fields
-from getagrip.io.named import NamedFields
+from getagrip.io.options import Flag, check_values, expand_user_path, explain_fields, parsed_argument, switch
 
 Hands = Literal["corrected", "as-given"]
 MaskUse = Literal["checked", "as-given"]
@@ -136,7 +134,7 @@ class SearchOptions(NamedFields):
         if self.init != "uniform" and self.priors is None:
             raise UsageError(f"missing --priors: --init {self.init} needs a file or folder")
         if self.priors is not None and not self.priors.sha256:
-            from getagrip.fitting.pose_priors import priors_checksum
+            from getagrip.fitting.solver.initial_poses import priors_checksum
 
             object.__setattr__(
                 self, "priors", replace(self.priors, sha256=priors_checksum(self.priors.path, self.init))

@@ -1,6 +1,6 @@
 """The pipeline of every reconstruction: repair the hand, prepare, search, fit all frames, judge.
 
-A grasp by itself (``fitting.grasp``) and a timeline (``timelines.reconstruct``) take the same five steps. They differ
+A grasp by itself (``reconstruct``) and a timeline (``reconstruct``) take the same five steps. They differ
 in what is searched, and in what a result is judged by.
 """
 
@@ -22,16 +22,15 @@ from getagrip.checks.evidence import Glitches
 from getagrip.clip import Clip, Masks, check_clip, check_masks, with_masks
 from getagrip.compiling import COMPILATION_MESSAGE, compile_once
 from getagrip.errors import UsageError
-from getagrip.finding import Finding
-from getagrip.fitting.every_frame import SolutionTrack
-from getagrip.fitting.hand_size import restore_object_size, with_hand_size
+from getagrip.fitting.hand.hand_size import restore_object_size, with_hand_size
+from getagrip.fitting.hand.hand_solution import SolvedHand
+from getagrip.fitting.hand.refine_hand import repair_hand
 from getagrip.fitting.options import Options
-from getagrip.fitting.solved_hand import SolvedHand
-from getagrip.fitting.tracker_glitches import repair_hand
+from getagrip.fitting.stages.remaining_frames import SolutionTrack
 from getagrip.geometry.warp import Warp
-from getagrip.probability import Probability
 from getagrip.provenance import assumptions
 from getagrip.result import Axis, Candidates, Reconstruction, SegmentResult, Status
+from getagrip.result.findings import Finding, Probability
 
 AMBIGUOUS_ENERGY_RATIO = 1.05
 """A distinct solution within this factor of the best energy makes a result ambiguous."""

@@ -22,13 +22,12 @@ from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import vertex_normals
-from getagrip.hands.model import KNUCKLES, PARENTS, HandModel, Side
-from getagrip.hands.regions import contact_regions, position_on_palm
+from getagrip.hands.model import KNUCKLES, PARENTS, HandModel, Side, contact_regions, position_on_palm
 from getagrip.io import arrays, files, pickles
-from getagrip.io.choices import check_word
 from getagrip.io.files import Json
+from getagrip.io.options import check_word
 from getagrip.io.pickles import PickledInstance
-from getagrip.io.user_folders import cache_folder
+from getagrip.io.terminal import cache_folder
 
 MANO_ARRAY_SHAPES = {
     "v_template": (778, 3),
@@ -171,7 +170,7 @@ def mano_contact_regions(
     joints: Float[ndarray, "16 3"],
     weights: Float[ndarray, "V 16"],
 ) -> dict[str, Int[ndarray, "_"]]:
-    """Return the contact regions of a flat hand of either side, skinned to MANO's joints; see ``hands.regions``.
+    """Return the contact regions of a flat hand of either side, skinned to MANO's joints; see ``hands.model``.
 
     A fingertip's pad faces where its finger does, at right angles to the finger.
     """

@@ -26,9 +26,8 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, edge_table
 from getagrip.geometry.mesh_files import check_size
-from getagrip.hands.generic_skeleton import MANO_WRIST_M
-from getagrip.hands.model import SIDE_MIRROR, PosedHand, Side, mirrored
-from getagrip.hands.regions import contact_regions, position_on_palm
+from getagrip.hands.generic import MANO_WRIST_M
+from getagrip.hands.model import SIDE_MIRROR, PosedHand, Side, contact_regions, mirrored, position_on_palm
 from getagrip.io.files import Json, read_json
 
 UMETRACK_SHAPES = {
@@ -103,7 +102,7 @@ class UmeTrackHand:
     def regions(self) -> dict[str, Int[ndarray, "_"]]:
         """Contact regions: the palmar side of the last phalanges, and three areas of the palm.
 
-        Found on the hand at rest (``hands.regions``); a last phalanx faces where its tip goes when it bends.
+        Found on the hand at rest (``hands.model``); a last phalanx faces where its tip goes when it bends.
         """
         x, normals = self.rest.vertices, self.rest.normals
         along = self.tips - self.pivots[3::4]

@@ -1,19 +1,79 @@
-"""Arrays of untrusted ``.npz`` files, checked. No pickle is ever run; sizes are checked before memory is taken."""
+"""Arrays of untrusted ``.npz`` files, checked. No pickle is ever run; sizes are checked before memory is taken.
+
+Untrusted zip archives: neither listing their members nor unpacking these takes more memory than it should.
+
+Numbers of strangers' files: what they make numpy warn of, and Python raise, is an error that names the file.
+"""
 
 from __future__ import annotations
 
 import io
 import math
+import warnings
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO, BinaryIO
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 from numpy import ndarray
 
-from getagrip.errors import InputError
-from getagrip.io import archives, files
+from getagrip.errors import GetagripError, InputError
+from getagrip.io import files, plugins
+
+MAX_ARCHIVE_MEMBERS = 100_000
+ZIP_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""Compressions whose decompressors can be limited: 1 kB of the others may be gigabytes at once."""
+ZIP_ENTRY_MAGIC = b"PK\x01\x02"
+"""Begins each entry of an archive's list."""
+ZIP_SEARCH_BYTES = 2**20
+"""Bytes of an archive that are searched at once."""
+
+
+def open_archive_bytes(path: Path | str, content: bytes) -> zipfile.ZipFile:
+    """Open an archive in memory. Raises ``InputError`` for too many members, and what ``zipfile`` raises."""
+    return _open_checked_archive(path, io.BytesIO(content))
+
+
+@contextmanager
+def open_archive_file(path: Path) -> Iterator[zipfile.ZipFile]:
+    """Open an archive in a file. Raises as ``open_archive_bytes`` does, and ``OSError``."""
+    with path.open("rb") as stream, _open_checked_archive(path, stream) as found:
+        yield found
+
+
+def _open_checked_archive(path: Path | str, stream: BinaryIO) -> zipfile.ZipFile:
+    """Open the archive unless it has too many members: ``zipfile`` keeps all of them in memory."""
+    entries, end = 0, b""
+    while piece := stream.read(ZIP_SEARCH_BYTES):
+        entries += (end + piece).count(ZIP_ENTRY_MAGIC)
+        end = piece[1 - len(ZIP_ENTRY_MAGIC) :]
+        if entries > MAX_ARCHIVE_MEMBERS:
+            raise InputError(
+                path, "", f"an archive of more than {MAX_ARCHIVE_MEMBERS} members", f"at most {MAX_ARCHIVE_MEMBERS}"
+            )
+    return zipfile.ZipFile(stream)
+
+
+def open_archive_member(of: zipfile.ZipFile, member: zipfile.ZipInfo) -> IO[bytes]:
+    """Open a member, to be read piece by piece. Raises what ``zipfile`` raises."""
+    if member.compress_type not in ZIP_COMPRESSIONS:
+        raise NotImplementedError(f"{member.filename!r} is packed in another way than by deflate")
+    return of.open(member)
+
+
+def read_archive_member(of: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """Read a member: as many bytes as the archive says, their checksum verified.
+
+    Raises what ``zipfile`` raises.
+
+    ``ZipFile.read`` unpacks up to 1 GB before it looks at how many there should be.
+    """
+    with open_archive_member(of, member) as stream:
+        return stream.read(member.file_size)
+
 
 MAX_NPZ_BYTES = 2**29
 """Limit in bytes of the arrays of one file, unpacked, and of each once its numbers have 8 bytes, as here."""
@@ -34,7 +94,7 @@ def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray,
     content = files.read_bytes(path)
     out: dict[str, ndarray] = {}
     try:
-        with archives.open_archive_bytes(path, content) as archive:
+        with open_archive_bytes(path, content) as archive:
             members = [m for m in archive.infolist() if m.filename.endswith(".npy") and wanted(m.filename[:-4])]
             unpacked = sum(member.file_size for member in members)
             if unpacked > MAX_NPZ_BYTES:
@@ -43,7 +103,7 @@ def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray,
                 key = member.filename[:-4]
                 if key in out:
                     raise InputError(path, key, "the array twice", "each array once")
-                out[key] = array = parse_npy(path, key, archives.read_archive_member(archive, member))
+                out[key] = array = parse_npy(path, key, read_archive_member(archive, member))
                 if array.dtype.kind in "US" and array.size > MAX_ARRAY_NAMES:
                     raise InputError(path, key, f"{array.size} texts", f"at most {MAX_ARRAY_NAMES}")
     except InputError:
@@ -198,3 +258,20 @@ def write(path: Path, content: dict[str, Shaped[ndarray, "..."]]) -> None:
             with archive.open(member, "w", force_zip64=True) as stream:
                 np.lib.format.write_array(stream, array, allow_pickle=False)
     files.write_bytes(path, whole.getvalue())
+
+
+@contextmanager
+def convert_to_input_errors(path: Path) -> Iterator[None]:
+    """Turn warnings of numpy, and all errors but those of files, into ``InputError``: what a file holds causes them."""
+    try:
+        with warnings.catch_warnings(), plugins.convert_base_exceptions():
+            for warning in (RuntimeWarning, np.exceptions.ComplexWarning):
+                warnings.simplefilter("error", warning)
+            yield
+    except (GetagripError, OSError):
+        raise
+    except Exception as error:
+        kind = "" if isinstance(error, Warning) else f"{type(error).__name__}: "
+        raise InputError(
+            path, "", f"content that cannot be right ({kind}{error})", "as its program writes it"
+        ) from error

@@ -2,6 +2,15 @@
 
 Nothing here trusts what a file says about itself: sizes are checked before memory is taken, no pickle is ever run, and
 names found in files are used as paths only once they are known to stay inside their folder.
+
+Locks on files and folders. The kernel drops a lock with the process that holds it, however that ends.
+
+Folders in which something is written before it takes its place, and what remains of them when a writer is killed.
+
+A writer holds a lock on its folder as long as it lives, so a folder whose lock can be had is nobody's. Where there are
+no locks, nothing is swept; where a file system has none, a folder looks alive to nobody.
+
+SQLite files of ours, opened only once it is known that they are ours: folders of strangers may hold other files.
 """
 
 from __future__ import annotations
@@ -16,17 +25,114 @@ import math
 import os
 import re
 import secrets
+import shutil
+import sqlite3
 import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, TextIO
+from urllib.parse import quote
 
 from getagrip.errors import InputError, UsageError, replace_surrogates
-from getagrip.io import leftovers
-from getagrip.io.tables import CsvTable, unescape_cell
+from getagrip.io.terminal import CsvTable, unescape_cell
+
+try:
+    import fcntl
+except ImportError:  # no POSIX: nothing is locked
+    fcntl = None  # type: ignore[assignment]
+
+HAS_FILE_LOCKS = fcntl is not None
+"""True if this system has locks."""
+
+
+@contextmanager
+def hold_lock(path: Path) -> Iterator[None]:
+    """Hold the lock of a file or folder, after waiting for it; go on without where it cannot be locked."""
+    lock = acquire_lock(path, wait=True)
+    try:
+        yield
+    finally:
+        release_lock(lock)
+
+
+def acquire_lock(path: Path, wait: bool) -> int | None:
+    """Lock a file or folder until the descriptor is closed; None where it cannot be locked.
+
+    Raises ``OSError`` where it is not there, and where it is locked already and we do not ``wait``.
+    """
+    if fcntl is None:
+        return None
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except OSError:
+        os.close(descriptor)
+        if wait:  # a file system without locks
+            return None
+        raise
+    return descriptor
+
+
+def release_lock(lock: int | None) -> None:
+    """Give back what ``acquire_lock`` has returned."""
+    if lock is not None:
+        os.close(lock)
+
+
+TEMPORARY_FOLDER_PREFIX = ".getagrip.new."
+"""Prefix of the folders' names."""
+
+
+@contextmanager
+def temporary_folder(parent: Path) -> Iterator[Path]:
+    """Make an empty hidden folder, which is removed in the end."""
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=TEMPORARY_FOLDER_PREFIX, dir=parent))
+        with suppress(FileNotFoundError):  # swept before it was locked
+            lock = acquire_lock(folder, wait=True)
+            if folder.exists():
+                break
+            release_lock(lock)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        release_lock(lock)
+
+
+def restore(folder: Path) -> None:
+    """Put what stands in ``old/`` of a workplace back where it was, unless something newer has taken its place."""
+    if (folder / "old").is_symlink():  # a stranger's: what it leads to stays where it is
+        return
+    for old in (folder / "old").glob("*"):
+        target = folder.parent / old.name
+        if not os.path.lexists(target):
+            os.rename(old, target)
+
+
+def remove_stale_folders(parent: Path) -> list[Path]:
+    """Remove this user's workplaces whose writers are dead, and return them; restore folders being replaced."""
+    swept = []
+    for folder in parent.glob(f"{TEMPORARY_FOLDER_PREFIX}*") if HAS_FILE_LOCKS else ():
+        if folder.is_symlink() or not folder.is_dir():
+            continue
+        try:
+            if folder.stat().st_uid != os.geteuid():
+                continue
+            lock = acquire_lock(folder, wait=False)
+        except OSError:  # it lives, or is another user's, or gone
+            continue
+        try:
+            restore(folder)
+            shutil.rmtree(folder, ignore_errors=True)
+            swept.append(folder)
+        finally:
+            release_lock(lock)
+    return swept
+
 
 Json = dict[str, Any]
 """A JSON object: whoever reads one checks its values."""
@@ -305,7 +411,7 @@ def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
     if target.exists() and (missing or not replace):
         raise UsageError(f"{target}: exists already{''.join(missing[:1])}; it is not overwritten")
     target.parent.mkdir(parents=True, exist_ok=True)
-    with leftovers.temporary_folder(target.parent) as beside:
+    with temporary_folder(target.parent) as beside:
         work, old = beside / "new" / target.name, beside / "old" / target.name
         work.mkdir(parents=True)
         old.parent.mkdir()
@@ -316,7 +422,7 @@ def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
                 os.rename(target, old)
             os.rename(work, target)
         finally:
-            leftovers.restore(beside)  # interrupted between the two
+            restore(beside)  # interrupted between the two
 
 
 @contextmanager
@@ -357,3 +463,50 @@ def _rename_in_errors(part: Path, target: Path) -> Iterator[None]:
         if isinstance(error.filename, str) and (file := Path(error.filename)).is_relative_to(part):
             error.filename = str(target / file.relative_to(part))
         raise
+
+
+SQLITE_MAGIC = b"SQLite format 3\0"
+APPLICATION_ID = slice(68, 72)
+"""Bytes at a file's start that say which application made it, as a big-endian number (SQLite's file format, 1.3)."""
+SQLITE_LOG_SUFFIXES = ("-journal", "-wal", "-shm")
+"""Suffixes of the files that SQLite writes beside a database."""
+
+
+def connect(
+    path: Path, application: int, what: str, *, timeout: float, shared: bool = False, read_only: bool = False
+) -> sqlite3.Connection:
+    """Open a database of an application, or a new file; nothing of another's is changed.
+
+    ``shared``: threads may share the connection. ``read_only``: nothing is changed or made. Raises ``InputError`` for
+    links and for files of something else, and ``sqlite3.Error``.
+    """
+    for file in (path, *(path.with_name(path.name + end) for end in SQLITE_LOG_SUFFIXES)):
+        if file.is_symlink() or (file.exists() and not file.is_file()):
+            raise InputError(file, "", "a link or a folder", f"{what}; move it away")
+    if path.exists() and path.stat().st_size:
+        with path.open("rb") as stream:
+            head = stream.read(100)
+        # 0 is that of a file of ours whose first transaction is still beside it.
+        if not head.startswith(SQLITE_MAGIC) or int.from_bytes(head[APPLICATION_ID], "big") not in (application, 0):
+            raise InputError(path, "", "a file of another program", what)
+    name = _read_only_uri(path) if read_only else path
+    connection = sqlite3.connect(
+        name, timeout=timeout, isolation_level=None, check_same_thread=not shared, uri=read_only
+    )
+    try:
+        connection.execute("PRAGMA trusted_schema = OFF")
+        (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        (found,) = connection.execute("PRAGMA application_id").fetchone()
+        if tables and found != application:
+            raise InputError(path, "", f"a database of another program ({found})", what)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _read_only_uri(path: Path) -> str:
+    """Return an address that opens a file for reading only: SQLite would leave new files beside one without a log."""
+    log = path.with_name(f"{path.name}-wal")
+    mode = "mode=ro" if log.exists() and log.stat().st_size else "immutable=1"
+    return f"file:{quote(os.fsencode(path.absolute()))}?{mode}"

@@ -2,19 +2,84 @@
 
 A package that declares ``[project.entry-points."getagrip.methods"] mine = "package.module:MINE"`` and is installed adds
 a method ``mine`` (docs/extending.md).
+
+Which code made something: a fingerprint of the package's files, since they change within a version; the commit.
+
+Libraries that not everybody has: each belongs to an extra of the package.
 """
 
 from __future__ import annotations
 
+import hashlib
+import importlib
+import json
+import re
+import subprocess
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import date
 from functools import cache, cached_property
 from importlib import metadata
+from pathlib import Path
+from types import ModuleType
 from typing import Any, Generic, TypeVar
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 from getagrip.errors import UsageError
-from getagrip.io import code, interrupts, terminal
+from getagrip.io import processes, terminal
+
+PACKAGE = Path(__file__).resolve().parents[1]
+UNFINGERPRINTED_PARTS = (
+    "cli", "bench", "studio", "batch", "report", "export", "readers", "timelines/detect", "metrics/evaluate",
+)  # fmt: skip
+"""Folders that a reconstruction does not import: the wings above it (docs/architecture.md), and two rooms of the core."""
+
+
+@cache
+def fingerprint(*also: str) -> str:
+    """Compute the checksum of all sources and tables that a reconstruction may depend on, 16 hexadecimal digits.
+
+    What is made otherwise depends on more: ``also`` are the folders and files ``UNFINGERPRINTED_PARTS`` that it depends on, relative to
+    the package. It changes with a comment, too: that a change does not matter cannot be seen from outside.
+    """
+    total = hashlib.sha256()
+    for path in sorted((*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.json"))):
+        name = path.relative_to(PACKAGE).as_posix()
+        if name.split("/")[0].removesuffix(".py") not in UNFINGERPRINTED_PARTS or f"{name}/".startswith(
+            tuple(f"{part}/" for part in also)
+        ):
+            content = path.read_bytes()
+            total.update(f"{name}\0{len(content)}\0".encode())
+            total.update(content)
+    return total.hexdigest()[:16]
+
+
+def date_and_commit() -> str:
+    """Return the date and, in a git checkout, the package's commit: "2025-03-01, commit a1b2c3d".
+
+    The commit is marked where files of the package differ from it.
+    """
+    today = date.today().isoformat()
+    found = commit(PACKAGE)
+    return f"{today}, commit {found}" if found else today
+
+
+def commit(folder: Path) -> str | None:
+    """Return the commit of a folder, marked if its files have changed; None if git does not have it."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        if not git("ls-files", "."):  # ignored: installed into an environment within another checkout
+            return None
+        changed = git("status", "--porcelain", "--", ".")
+        return git("rev-parse", "--short", "HEAD") + (" with uncommitted changes" if changed else "")
+    except (OSError, subprocess.CalledProcessError):  # no git, or no checkout
+        return None
+
 
 T = TypeVar("T")
 
@@ -51,7 +116,7 @@ def plugin_packages() -> list[str]:
 
 def fingerprint_with_plugins() -> str:
     """Return ``code.fingerprint``, and the packages that add anything."""
-    return " with ".join(filter(None, [code.fingerprint(), ", ".join(plugin_packages())]))
+    return " with ".join(filter(None, [fingerprint(), ", ".join(plugin_packages())]))
 
 
 @cache
@@ -66,13 +131,13 @@ def warn_once(words: str) -> None:
 @contextmanager
 def convert_base_exceptions() -> Iterator[None]:
     """Turn what is no ``Exception`` into one, as code of others may raise it; a Ctrl-C stays what it is."""
-    before = interrupts.interrupt_count()
+    before = processes.interrupt_count()
     try:
         yield
     except (Exception, GeneratorExit):
         raise
     except BaseException as error:
-        if interrupts.is_user_interrupt(error, before):
+        if processes.is_user_interrupt(error, before):
             raise
         raise RuntimeError(f"{type(error).__name__}: {error}") from error
 
@@ -197,7 +262,7 @@ class PluginTable(MutableMapping[str, T], Generic[T]):
 
 def _plugin_checksum(value: object) -> str:
     """Return the checksum of its sources, if these can be known."""
-    from getagrip.io.own_code import UnknownSourceError, source_checksum
+    from getagrip.io.source_checksum import UnknownSourceError, source_checksum
 
     try:
         return source_checksum(value)
@@ -224,3 +289,60 @@ def plugin_of(value: object) -> Plugin | None:
             if loaded is value:
                 return table.plugins[name]
     return None
+
+
+def import_extra(module: str, extra: str, option: str = "") -> ModuleType:
+    """Import a module of an extra of this package.
+
+    Raises ``UsageError`` that says how to install it.
+
+    ``option`` is what asks for it; empty: ``--to`` and the extra's name.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise UsageError(
+            f"missing module {module!r} ({error}): {option or f'--to {extra}'} needs it; {install_command(extra)}"
+        ) from error
+
+
+def install_command(extra: str) -> str:
+    """Write the command that installs an extra, as this package was installed: from a clone, a wheel or otherwise.
+
+    Where that is not known or gone, it names the libraries themselves: never our name, which an index may not have or
+    may have from somebody else.
+    """
+    source = _install_source()
+    if source:
+        option, path = source
+        return f'pip install {option}"{path}[{extra}]"'
+    libraries = " ".join(f'"{each}"' for each in libraries_of(extra))
+    return f"pip install {libraries}" if libraries else f"install the libraries of the extra {extra!r}"
+
+
+def libraries_of(extra: str) -> list[str]:
+    """List the requirements of an extra, as pip takes them; those of the extras that it brings, for ``all``."""
+    mark = re.compile(rf"""extra == ['"]{re.escape(extra)}['"]""")
+    found: list[str] = []
+    for requirement in metadata.requires("getagrip") or ():
+        library, _, condition = requirement.partition(";")
+        if not mark.search(condition):
+            continue
+        others = re.match(r"getagrip\[(.*)\]", library)
+        found += [each for name in others[1].split(",") for each in libraries_of(name)] if others else [library.strip()]
+    return found
+
+
+def _install_source() -> tuple[str, str] | None:
+    """Return pip's option and the folder or wheel that this package was installed from, where it is there (PEP 610)."""
+    try:
+        record = json.loads(metadata.distribution("getagrip").read_text("direct_url.json") or "null")
+    except (metadata.PackageNotFoundError, ValueError):
+        return None
+    if not isinstance(record, dict) or not str(record.get("url", "")).startswith("file:"):
+        return None
+    path = Path(url2pathname(urlsplit(record["url"]).path))
+    if not path.exists():
+        return None
+    editable = bool(record.get("dir_info", {}).get("editable"))
+    return ("-e " if editable else ""), str(path)

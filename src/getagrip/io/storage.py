@@ -1,10 +1,14 @@
 """Folders in object stores, by fsspec: ``s3://bucket/folder``, ``gs://...`` and whatever else it can reach.
 
 What lies there is untrusted, as files are: sizes are bounded before memory is taken, names lead nowhere else.
+
+Stores at http:// and https:// addresses: no answer is longer than asked for, and none comes from another server.
 """
 
 from __future__ import annotations
 
+import functools
+import re
 import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,10 +19,66 @@ from urllib.parse import unquote, urlsplit
 from zipfile import ZipFile, ZipInfo
 
 from getagrip.errors import GetagripError, InputError, UsageError
-from getagrip.io import archives, extras, files, http_store
+from getagrip.io import arrays, files, plugins
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
+
+HTTP_PROTOCOLS = ("http", "https")
+MAX_LISTING_BYTES = 64 * 2**20
+"""Bytes of an answer to what asks for no range, such as a folder's page."""
+
+
+def fsspec_options(url: str) -> dict[str, object]:
+    """Return fsspec's options for the protocols in an address; empty where there are none."""
+    return {
+        kind: {"client_kwargs": _client_arguments()} for kind in HTTP_PROTOCOLS if re.search(rf"(^|::){kind}://", url)
+    }
+
+
+def asked_bytes(headers: Mapping[str, str]) -> int | None:
+    """Return the number of bytes a request asks for; None where it does not say."""
+    asked = re.fullmatch(r"bytes=(\d+)-(\d+)", headers.get("Range", ""))
+    return None if asked is None else int(asked[2]) - int(asked[1]) + 1
+
+
+@functools.cache
+def _client_arguments() -> dict[str, object]:
+    """Arguments of aiohttp's ``ClientSession``."""
+    import aiohttp
+
+    class Bounded(aiohttp.ClientResponse):  # type: ignore[misc]
+        """An answer of which no more is read than was asked for: servers may ignore ranges, and bodies never end."""
+
+        _body: bytes | None = None
+
+        async def read(self) -> bytes:
+            body = self._body
+            if body is None:
+                asked = asked_bytes(self.request_info.headers)
+                left = MAX_LISTING_BYTES + 1 if asked is None else asked
+                parts: list[bytes] = []
+                while left and (part := await self.content.read(left)):
+                    parts.append(part)
+                    left -= len(part)
+                if not left:
+                    self.close()
+                    if asked is None:
+                        raise InputError(
+                            str(self.url), "", f"more than {MAX_LISTING_BYTES} bytes", "at most that in a listing"
+                        )
+                self._body = body = b"".join(parts)
+            return body
+
+    async def same_server(session: object, context: object, redirect: aiohttp.TraceRequestRedirectParams) -> None:
+        target = redirect.response.headers.get("Location") or redirect.response.headers.get("URI") or ""
+        if redirect.url.join(type(redirect.url)(target)).origin() != redirect.url.origin():
+            raise InputError(str(redirect.url), "", f"a redirect to {target[:200]!r}", "files of the same server")
+
+    trace = aiohttp.TraceConfig()
+    trace.on_request_redirect.append(same_server)
+    return {"response_class": Bounded, "trace_configs": [trace]}
+
 
 STORE_EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gs", "gcs": "gs"}
 """The extra of this package that reads a kind of address."""
@@ -121,9 +181,9 @@ class RemotePath:
         if content is None:
             raise InputError(self.url, "", "no such archive", "a zip archive")
         try:
-            with archives.open_archive_bytes(self.url, content) as archive:
+            with arrays.open_archive_bytes(self.url, content) as archive:
                 members = self._members(archive, leave_out)
-                contents = {name: archives.read_archive_member(archive, member) for name, member in members.items()}
+                contents = {name: arrays.read_archive_member(archive, member) for name, member in members.items()}
         except InputError:
             raise
         except Exception as error:  # zipfile and its decompressors raise whatever they meet
@@ -191,11 +251,11 @@ class RemotePath:
         """Open the file system; also return the path in it. Raises ``UsageError`` where a library for it is missing."""
         kind = self.url.split(":", 1)[0]
         extra = STORE_EXTRAS.get(kind, "s3")  # any of them brings fsspec
-        core = extras.import_extra("fsspec.core", extra, self.url)
+        core = plugins.import_extra("fsspec.core", extra, self.url)
         try:
-            fs, path = core.url_to_fs(self.url, use_listings_cache=False, **http_store.fsspec_options(self.url))
+            fs, path = core.url_to_fs(self.url, use_listings_cache=False, **fsspec_options(self.url))
         except ImportError as error:
-            advice = extras.install_command(extra) if kind in STORE_EXTRAS else "install fsspec's library for it"
+            advice = plugins.install_command(extra) if kind in STORE_EXTRAS else "install fsspec's library for it"
             raise UsageError(f"missing library for {kind}:// ({error}), which {self} needs: {advice}") from error
         except ValueError as error:
             known = "those that fsspec knows, such as s3:// and gs://"

@@ -1,22 +1,89 @@
-"""Output on a terminal or into a pipe: tables, a progress bar, numbers of things in words."""
+"""Output on a terminal or into a pipe: tables, a progress bar, numbers of things in words.
+
+The user's own folders, for what is neither input nor result.
+
+Tables in CSV, which a spreadsheet opens without running anything, and in Markdown.
+
+Spreadsheets take a text that begins with ``=``, ``+``, ``-``, ``@`` or a control character for a formula. Names come
+from untrusted files, so that such a text gets an apostrophe before it, which spreadsheets do not show and
+``files.csv_rows`` takes away again. Numbers stay as they are.
+"""
 
 from __future__ import annotations
 
+import csv
 import io
+import os
+import re
+import stat
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import partial
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, TextIO, TypeAlias
 
-from getagrip.errors import escape_unprintable
+from getagrip.errors import UsageError, escape_unprintable
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress, TaskID
     from rich.table import Table
+
+
+def cache_folder() -> Path:
+    """Return the folder of what can be made again. Raises ``UsageError`` where the user has none."""
+    return _xdg_folder("XDG_CACHE_HOME", ".cache")
+
+
+def state_folder() -> Path:
+    """Return the folder of what is worth keeping. Raises ``UsageError`` where the user has none."""
+    return _xdg_folder("XDG_STATE_HOME", ".local/state")
+
+
+def _xdg_folder(variable: str, below_home: str) -> Path:
+    try:
+        return Path(os.environ.get(variable) or Path.home() / below_home) / "getagrip"
+    except RuntimeError as error:  # as in a container, for a user whom it does not know
+        raise UsageError(f"missing HOME or {variable}: this user has no home folder") from error
+
+
+def is_private_folder(folder: Path) -> bool:
+    """Return whether nobody but this user and root can write into a folder, or put another one in its place."""
+    if os.name == "nt":
+        return True
+    whole, real = folder.absolute(), folder.resolve()
+    return all(_is_protected_path(path, path == real) for path in {whole, *whole.parents, real, *real.parents})
+
+
+def _is_protected_path(path: Path, last: bool) -> bool:
+    """Return whether nobody else can exchange what a path leads to; nor, of the ``last`` folder, add to it."""
+    try:
+        about = path.lstat()
+    except FileNotFoundError:
+        return True
+    except OSError:
+        return False
+    if about.st_uid not in (0, os.geteuid()):
+        return False
+    writers = stat.S_IWOTH | (0 if _is_private(about.st_gid, about.st_uid) else stat.S_IWGRP)
+    kept = bool(about.st_mode & stat.S_ISVTX) and not last  # where only the owner of an entry removes it
+    return stat.S_ISLNK(about.st_mode) or kept or not about.st_mode & writers
+
+
+def _is_private(group: int, owner: int) -> bool:
+    """Return whether a group has its owner alone, as where each user has one of the same name."""
+    try:
+        import grp
+        import pwd
+
+        of, name = grp.getgrgid(group), pwd.getpwuid(owner).pw_name
+    except (ImportError, KeyError):
+        return False
+    return of.gr_name == name and {*of.gr_mem} <= {name}
+
 
 Progressed: TypeAlias = Callable[[str, float], None] | bool | None
 """Progress as public functions take it (``progress_callback``)."""
@@ -164,3 +231,47 @@ def format_ranges(frames: Sequence[int], counted_from: int) -> str:
             runs.append([n, n])
     numbers = ((a + counted_from, b + counted_from) for a, b in runs)
     return ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in numbers)
+
+
+_FORMULA_PATTERN = re.compile(r"'*[=+\-@\t\r\n]")
+"""Beginning of a text that gets an apostrophe; one that has some already gets one more, so that reading undoes it."""
+
+
+class CsvTable:
+    """A table that is being written into a text stream, opened with ``newline=""``."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._rows = csv.writer(stream)
+
+    def write_row(self, cells: Iterable[object]) -> None:
+        """Add a row: texts so that none is a formula, numbers as they are."""
+        self._rows.writerow([escape_cell(cell) if isinstance(cell, str) else cell for cell in cells])
+
+    def write_rows(self, rows: Iterable[Iterable[object]]) -> None:
+        """Add rows."""
+        for cells in rows:
+            self.write_row(cells)
+
+
+def escape_cell(text: str) -> str:
+    """Write a text as a cell holds it."""
+    return f"'{text}" if _FORMULA_PATTERN.match(text) else text
+
+
+def unescape_cell(cell: str) -> str:
+    """Return the text of a cell that ``escape_cell`` wrote; other cells stay as they are."""
+    return cell[1:] if cell.startswith("'") and _FORMULA_PATTERN.match(cell) else cell
+
+
+def markdown_page(title: str, grid: Sequence[Sequence[str]], about: Sequence[str], words: int = 1) -> str:
+    """Write one table under a title, and how it was made; the first columns are ``words``, the others numbers."""
+    lines = [f"# {title}", "", *markdown_table(grid, words), "", *(f"- {line}" for line in about)]
+    return "\n".join(lines) + "\n"
+
+
+def markdown_table(grid: Sequence[Sequence[str]], words: int = 1) -> list[str]:
+    """Return the lines of a table, headings first; the first columns are ``words``, the others numbers."""
+    headings, *body = grid
+    rule = [*["---"] * words, *["---:"] * (len(headings) - words)]
+    escaped = ([cell.replace("|", "\\|") for cell in cells] for cells in (headings, rule, *body))
+    return [f"| {' | '.join(cells)} |" for cells in escaped]

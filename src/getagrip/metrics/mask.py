@@ -1,6 +1,6 @@
 """Intersection over union of the predicted and the observed object mask, over the valid pixels.
 
-The prediction is rendered by the z-buffer of ``kernels.depth`` and not by the silhouettes that the fit uses, so that a
+The prediction is rendered by the z-buffer of ``geometry.kernels.depth`` and not by the silhouettes that the fit uses, so that a
 score cannot share the objective's mistakes.
 """
 
@@ -40,7 +40,7 @@ class MaskIou:
 
 def _render_mask(mesh: Mesh | None, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
     """Pixels whose centre a mesh in the camera frame covers; none where there is no mesh."""
-    from getagrip.geometry.depth import render_coverage
+    from getagrip.geometry.rasterize import render_coverage
 
     return np.zeros(size[::-1], dtype=bool) if mesh is None else render_coverage(mesh.vertices, mesh.faces, K, size)
 

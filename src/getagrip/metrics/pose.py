@@ -1,14 +1,28 @@
-"""Errors of the object's pose in the hand or in the camera: ADD, rotation and translation, up to its symmetries."""
+"""Errors of the object's pose in the hand or in the camera: ADD, rotation and translation, up to its symmetries.
+
+BOP's visible surface discrepancy (VSD; Hodan et al., ECCV 2018 and ECCVW 2020): depth of two poses before a scene.
+
+Where the depth image has no value, surfaces count as visible ("bop19"). Distances are along rays from the camera.
+
+Recalls over thresholds: areas under curves of ADD and ADD-S, and BOP's average recalls of MSSD and MSPD.
+
+In each frame, of poses in the camera. AUC is as in YCB-Video (PoseCNN), up to 10 cm, by the exact area; MSSD and MSPD
+are BOP's (Hodan et al., ECCVW 2020), the least over the object's symmetries of the largest distance of its vertices, in
+space and in the image.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
+from scipy.spatial import ConvexHull, KDTree
 
 from getagrip.geometry import se3
+from getagrip.geometry.camera import project
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.symmetry import Symmetries
 
@@ -125,3 +139,121 @@ def _displacement_map(
     P, Q = predicted.T_ref_obj, true.T_ref_obj
     A = predicted.scale * P[:, :3, :3] - true.scale * Q[:, :3, :3] @ S[:3, :3]
     return A, P[:, :3, 3] - Q[:, :3, 3] - true.scale * Q[:, :3, :3] @ S[:3, 3]
+
+
+VSD_TOLERANCES = np.arange(1, 11) * 0.05
+"""Tolerances of misalignment, in diameters; and the thresholds of the recall."""
+VSD_VISIBILITY_TOLERANCE_M = 0.015
+"""A surface is visible up to so far behind the scene's [m]."""
+
+Image = Float[ndarray, "h w"]
+
+
+def ray_lengths(K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Image:
+    """Return the lengths of rays to the plane at depth 1, through the centres of the pixels of a (width, height)."""
+    x, y = ((np.arange(n) + 0.5 - K[axis, 2]) / K[axis, axis] for axis, n in enumerate(size))
+    return np.asarray(np.sqrt(1.0 + x**2 + (y**2)[:, None]))
+
+
+def discrepancy(predicted: Image, true: Image, scene: Image, tolerances: Float[ndarray, "k"]) -> Float[ndarray, "k"]:
+    """Compute the share of the visible surface that is misaligned, for each tolerance [m].
+
+    All are distances from the camera [m], of the object in both poses and of the scene; 0 where there is none. The
+    result is 1 where nothing is visible.
+    """
+    in_front = (predicted > 0.0), (true > 0.0)
+    seen = [
+        there & ((z - scene <= VSD_VISIBILITY_TOLERANCE_M) | (scene == 0.0))
+        for there, z in zip(in_front, (predicted, true), strict=True)
+    ]
+    visible, visible_true = seen[0] | (seen[1] & in_front[0]), seen[1]
+    both, count = visible & visible_true, np.count_nonzero(visible | visible_true)
+    if not count:
+        return np.ones(len(tolerances))
+    apart = np.abs(true[both] - predicted[both])
+    wrong = np.array([np.count_nonzero(apart >= tolerance) for tolerance in tolerances])
+    return np.asarray((wrong + count - len(apart)) / count)
+
+
+def vsd_recall(errors: Float[ndarray, "k"]) -> float:
+    """Compute the mean recall over tolerances and thresholds."""
+    return float((errors[:, None] < VSD_TOLERANCES).mean())
+
+
+MAX_AUC_ERROR_M = 0.10
+"""Largest threshold of the areas under curves [m]."""
+MSSD_THRESHOLDS = np.arange(1, 11) * 0.05
+"""BOP's thresholds of MSSD, in diameters."""
+MSPD_THRESHOLDS_PX = np.arange(1, 11) * 5.0
+"""BOP's thresholds of MSPD [px], in images 640 px wide."""
+N_RECALL_AXIS_ANGLES = 72
+"""Angles about a continuous axis."""
+N_RECALL_BALL_ROTATIONS = 500
+"""Rotations of a ball."""
+MAX_RECALL_VERTICES = 2000
+"""Most vertices whose nearest one is looked for."""
+
+
+def nearest_add(predicted: Float[ndarray, "T V 3"], true: Float[ndarray, "T V 3"]) -> Float[ndarray, "T"]:
+    """Compute the mean distance of the true vertices to the nearest predicted ones (ADD-S) [m]."""
+    some = true[:, :: -(-true.shape[1] // MAX_RECALL_VERTICES)]
+    return np.array([KDTree(p).query(t)[0].mean() for p, t in zip(predicted, some, strict=True)])
+
+
+def area_under_curve(error: Float[ndarray, "T"]) -> Float[ndarray, "T"]:
+    """Compute what each frame adds to the area under the curve of recall by threshold, 0 to ``MAX_AUC_ERROR_M``, as a share."""
+    return np.clip(1.0 - error / MAX_AUC_ERROR_M, 0.0, 1.0)
+
+
+def all_symmetries(symmetries: Symmetries) -> Float[ndarray, "S 4 4"]:
+    """Return every symmetry, those about continuous axes at even angles."""
+    free = len(symmetries.axes)
+    if free == 0:
+        return symmetries.elements
+    turns = np.arange(N_RECALL_AXIS_ANGLES)[:, None] * (2.0 * np.pi / N_RECALL_AXIS_ANGLES)
+    angles = turns if free == 1 else se3.log_so3(se3.super_fibonacci(N_RECALL_BALL_ROTATIONS))
+    return (symmetries.about(angles)[:, None] @ symmetries.elements).reshape(-1, 4, 4)
+
+
+@dataclass(frozen=True)
+class SymmetricErrors:
+    """A predicted and a true object, whose errors are the least over its symmetries.
+
+    Attributes:
+        predicted, true: the poses in the camera.
+        hull: (H, 3) vertices of the mesh's convex hull [m]: one of them moves the farthest, in space always and in the
+            image nearly always.
+        symmetries: (S, 4, 4) as of ``all_symmetries``.
+    """
+
+    predicted: ObjectTrack
+    true: ObjectTrack
+    hull: Float[ndarray, "H 3"]
+    symmetries: Float[ndarray, "S 4 4"]
+
+    @staticmethod
+    def of(mesh: Mesh, predicted: ObjectTrack, true: ObjectTrack, symmetries: Symmetries) -> SymmetricErrors:
+        """Make them of a mesh."""
+        hull = mesh.vertices[ConvexHull(mesh.vertices, qhull_options="QJ").vertices]
+        return SymmetricErrors(predicted, true, hull, all_symmetries(symmetries))
+
+    def mssd(self) -> Float[ndarray, "T"]:
+        """Compute the maximum symmetry-aware surface distance [m]."""
+        return self._least(lambda points: points)
+
+    def mspd(self, K: Float[ndarray, "T 3 3"]) -> Float[ndarray, "T"]:
+        """Compute the maximum symmetry-aware projection distance [px]."""
+        return self._least(lambda points: project(K, points))
+
+    def _least(self, seen: Callable[[Float[ndarray, "T H 3"]], Float[ndarray, "T H d"]]) -> Float[ndarray, "T"]:
+        predicted = seen(self.predicted.placed(self.hull))
+        worst = [
+            np.linalg.norm(predicted - seen(self.true.placed(se3.transform(S, self.hull))), axis=-1).max(axis=-1)
+            for S in self.symmetries
+        ]
+        return np.asarray(np.min(worst, axis=0))
+
+
+def recall_at_thresholds(error: Float[ndarray, "T"], thresholds: Float[ndarray, "k"]) -> Float[ndarray, "T"]:
+    """Compute the share of the thresholds that each frame's error is below."""
+    return np.asarray((error[:, None] < thresholds).mean(axis=1))

@@ -22,25 +22,29 @@ from numpy import ndarray
 
 from getagrip.clip import Segment
 from getagrip.errors import InputError
-from getagrip.fitting.problem import prepare_problem
-from getagrip.fitting.search import suppress_duplicates
-from getagrip.fitting.surface import ObjectSurface
+from getagrip.fitting.problem import ObjectSurface, prepare_problem
+from getagrip.fitting.solver.search import suppress_duplicates
 from getagrip.geometry.mesh import Mesh
-from getagrip.timelines.between import fill_gaps
-from getagrip.timelines.following import Paths, track_hypotheses
-from getagrip.timelines.footage import GraspClip, TimelineInputs
-from getagrip.timelines.grasp_segment import (
+from getagrip.timelines.observations import GraspClip, Hypotheses, TimelineInputs
+from getagrip.timelines.segments import (
     LINK_SLIP_DIAMETERS,
     GraspSolutions,
     Neighbour,
     fit_in_all_frames,
     max_link_cost,
+    select_static_frames,
     solve_grasp,
+    static_hypotheses,
 )
-from getagrip.timelines.hypotheses import Hypotheses
-from getagrip.timelines.motion import TimelineMotion, split_at_gaps
-from getagrip.timelines.settled import MIN_DEPTH_JITTER_M, correct_depth, depth_jitter
-from getagrip.timelines.static_pose import select_static_frames, static_hypotheses
+from getagrip.timelines.tracking import Paths, track_hypotheses
+from getagrip.timelines.transitions import (
+    MIN_DEPTH_JITTER_M,
+    TimelineMotion,
+    correct_depth,
+    depth_jitter,
+    fill_gaps,
+    split_at_gaps,
+)
 
 LINK_FRAMES = 6
 """Frames of a grasp's problem that a link to it holds in."""

@@ -12,7 +12,7 @@ from getagrip.fitting.energy import no_bound
 from getagrip.fitting.methods.all_frames import add_contact_consistency, coarse_energy, make_initial_poses
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare_problem
-from getagrip.fitting.solve import poses_in_camera
+from getagrip.fitting.solver.solve import poses_in_camera
 from helpers.scenes import SHORT, scene
 
 

@@ -10,19 +10,19 @@ from numpy import ndarray
 from scipy.optimize import minimize
 
 from getagrip.clip.depth import DepthSource
-from getagrip.fitting.depth_samples import N_INDEPENDENT_SAMPLES, depth_errors_of
-from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, no_bound
-from getagrip.fitting.energy import depth as depth_term
-from getagrip.fitting.energy.depth import (
+from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, depth_term, no_bound
+from getagrip.fitting.energy.depth_term import (
     DEPTH_TAIL_SIGMAS,
     N_DEPTH_SCALE_ERRORS,
+    N_INDEPENDENT_SAMPLES,
     RAY_MISS_ERROR,
     DepthErrors,
     DepthSamples,
     DepthTerm,
+    depth_errors_of,
 )
 from getagrip.geometry import se3
-from getagrip.kernels.depth import WARP_STUDENT_DOF
+from getagrip.geometry.kernels.depth import WARP_STUDENT_DOF
 from helpers.depth_terms import FREE, METRIC, MIDDLE, N, poses, seen, term
 from helpers.terms import is_trustworthy
 

@@ -9,7 +9,7 @@ import pytest
 
 from getagrip.clip import with_masks
 from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, no_bound
-from getagrip.fitting.hand_silhouette import HandSilhouette
+from getagrip.fitting.hand.hand_silhouette import HandSilhouette
 from getagrip.fitting.objective import hand_evidence_energy
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem, prepare_problem

@@ -8,15 +8,7 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.fitting.energy import (
-    HandInCamera,
-    InHand,
-    ObjectWithHand,
-    OnHand,
-    PosesInCamera,
-    Term,
-    no_bound,
-)
+from getagrip.fitting.energy import HandInCamera, InHand, ObjectWithHand, OnHand, PosesInCamera, Term, no_bound
 from getagrip.geometry import se3
 from helpers.terms import N, random_poses, some_term, total_hessian
 

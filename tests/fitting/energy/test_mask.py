@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from numpy import ndarray
 
 from getagrip.fitting.energy import PosesInCamera, no_bound
-from getagrip.fitting.energy.mask import MaskTerm
-from getagrip.fitting.observation import MASK_CROP_SIZE_PX, MASK_LEVELS_PX, Observation
+from getagrip.fitting.energy.mask import MASK_CROP_SIZE_PX, MASK_LEVELS_PX, MaskTerm, Observation
+from getagrip.geometry.kernels.silhouette import pack, unpack
 from getagrip.geometry.mesh import Mesh
-from getagrip.kernels.silhouette import pack, unpack
 from helpers import reference_kernels as reference
 from helpers.clips import box
 from helpers.drawn_masks import scene, smooth_energy

@@ -7,18 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.fitting.energy import PosesInCamera, mask_by_shape, no_bound
+from getagrip.fitting.energy import PosesInCamera, mesh_mask, no_bound
 from getagrip.fitting.energy.mask import MaskTerm
-from getagrip.fitting.energy.mask_by_shape import MaskByShape
-from getagrip.geometry.mesh import Mesh
-from getagrip.geometry.subdivide import subdivide_surface
+from getagrip.fitting.energy.mesh_mask import MaskByShape
+from getagrip.geometry.mesh import Mesh, subdivide_surface
 from getagrip.geometry.warp import Warp
 from helpers.drawn_masks import scene, smooth_energy
 from helpers.parts import callable_part
 from helpers.terms import MESHES, moved
 
 RADIUS = 0.05
-unwarped = callable_part(mask_by_shape._unwarp_monomials)
+unwarped = callable_part(mesh_mask._unwarp_monomials)
 
 
 def by_shape(which: str, term: MaskTerm) -> MaskByShape:

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Masks
-from getagrip.fitting.energy import PosesInCamera, no_bound, order
-from getagrip.fitting.energy.order import HandOrder, OrderTerm, corners_of
+from getagrip.fitting.energy import PosesInCamera, no_bound, occlusion_order
+from getagrip.fitting.energy.occlusion_order import HandOrder, OrderTerm, corners_of
 from getagrip.geometry import se3
-from getagrip.geometry.depth import depth_and_face
 from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.rasterize import depth_and_face
 from helpers.clips import box
 from helpers.scenes import SHORT, scene
 from helpers.terms import MESHES, N, moved, random_poses
@@ -116,6 +116,6 @@ def test_what_lies_well_within_a_mask_is_what_erosion_leaves(near: int) -> None:
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * near + 1, 2 * near + 1))
     v, u = np.indices(mask.shape).reshape(2, -1)
     left = cv2.erode(mask.astype(np.uint8), disc).astype(bool)
-    np.testing.assert_array_equal(order._disc_in_mask(mask, u, v, disc > 0), left.ravel())
+    np.testing.assert_array_equal(occlusion_order._disc_in_mask(mask, u, v, disc > 0), left.ravel())
     whole = np.ones_like(mask)
-    assert order._disc_in_mask(whole, u, v, disc > 0).all()  # what is beyond the image is unknown
+    assert occlusion_order._disc_in_mask(whole, u, v, disc > 0).all()  # what is beyond the image is unknown

@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.fitting.contact import HandContacts
 from getagrip.fitting.energy import PosesInCamera, Term, no_bound
-from getagrip.fitting.energy.paper_pull import PaperPullTerm
-from getagrip.fitting.energy.paper_push import PaperPushTerm, TangentPlanes
+from getagrip.fitting.energy.contact import HandContacts
+from getagrip.fitting.energy.paper_contact import PaperPullTerm, PaperPushTerm, TangentPlanes
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from helpers.clips import small_clip

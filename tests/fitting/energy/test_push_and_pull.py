@@ -10,10 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.fitting.contact import HandContacts, build_contact_grid
 from getagrip.fitting.energy import PosesInCamera, no_bound
-from getagrip.fitting.energy.pull import PullTerm
-from getagrip.fitting.energy.push import PushTerm
+from getagrip.fitting.energy.contact import HandContacts, PullTerm, PushTerm, build_contact_grid
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from helpers import reference_kernels as reference

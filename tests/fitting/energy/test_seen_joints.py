@@ -9,11 +9,11 @@ import pytest
 
 from getagrip.clip import Clip, with_masks
 from getagrip.fitting.energy import HandInCamera, no_bound
-from getagrip.fitting.energy.hand_term import OnHand
+from getagrip.fitting.energy.term import OnHand
+from getagrip.fitting.hand.joint_reprojection import SeenJoints
 from getagrip.fitting.objective import hand_evidence_energy
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem, prepare_problem
-from getagrip.fitting.seen_joints import SeenJoints
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from helpers.scenes import SHORT, scene

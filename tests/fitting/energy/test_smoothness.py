@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from getagrip.fitting.energy import PosesInCamera, no_bound
-from getagrip.fitting.energy.smoothness import BendingTerm, SmoothnessTerm, second_differences, vertex_moments
+from getagrip.fitting.energy.homan_terms import BendingTerm, SmoothnessTerm, second_differences, vertex_moments
 from helpers.terms import B, N, moved, random_poses, total_hessian
 
 

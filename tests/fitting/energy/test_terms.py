@@ -12,9 +12,7 @@ from numpy import ndarray
 
 from getagrip.fitting.energy import PosesInCamera, Term, no_bound
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
-from getagrip.fitting.energy.interaction import InteractionTerm
-from getagrip.fitting.energy.reprojection import ReprojectionTerm
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, vertex_moments
+from getagrip.fitting.energy.homan_terms import InteractionTerm, ReprojectionTerm, SmoothnessTerm, vertex_moments
 from getagrip.geometry import camera, se3
 from helpers.terms import K4, N, hypotheses_are_independent, moved, random_poses, some_term, total_hessian
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Masks
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import GetagripError
 from getagrip.fitting.energy import Energy
 from getagrip.fitting.methods import all_frames
@@ -18,8 +17,9 @@ from getagrip.fitting.objective import energy_of
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem
 from getagrip.geometry import se3
+from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.synthetic.scene_options import SceneOptions
 from helpers.clips import small_clip
 from helpers.scenes import SHORT, SMALL, scene, scores
 

@@ -9,12 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip.fitting.contact import HandContacts, build_contact_grid
-from getagrip.fitting.energy.pull import PullTerm
-from getagrip.fitting.energy.push import PushTerm
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, vertex_moments
-from getagrip.fitting.methods.homan import place_in_box
-from getagrip.fitting.methods.homan_refine import JointEnergy, RigidBodies, refine_by_levenberg_marquardt
+from getagrip.fitting.energy.contact import HandContacts, PullTerm, PushTerm, build_contact_grid
+from getagrip.fitting.energy.homan_terms import SmoothnessTerm, vertex_moments
+from getagrip.fitting.methods.homan import JointEnergy, RigidBodies, place_in_box, refine_by_levenberg_marquardt
 from getagrip.geometry import camera, se3
 from helpers.clips import box
 from helpers.terms import N, some_term

@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip import evaluation
 from getagrip.clip import FrameMasks, Masks, with_masks
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import UsageError
-from getagrip.evaluation.metric import IOU
-from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods import method_of, paper, single_frame
 from getagrip.fitting.motion import Fixed
 from getagrip.fitting.options import Departures, Options
 from getagrip.fitting.problem import Problem, prepare_problem
-from getagrip.fitting.solve import evaluate, poses_in_camera
+from getagrip.fitting.solver.initial_poses import initial_poses
+from getagrip.fitting.solver.solve import evaluate, poses_in_camera
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.geometry.render import true_masks
+from getagrip.geometry.rasterize import true_masks
+from getagrip.metrics import evaluate as evaluate_module
+from getagrip.metrics.evaluate.metric import IOU
+from getagrip.reconstruct import reconstruct
 from getagrip.result import Status
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.synthetic.scene import synthesise
+from getagrip.synthetic.scene_options import SceneOptions
 from helpers.clips import small_clip
 
 NAMES = [field.name for field in fields(Departures)]
@@ -197,7 +197,7 @@ def test_the_iou_by_which_is_chosen_is_the_metrics(monkeypatch: pytest.MonkeyPat
     T = result.T_hand_obj[0]
     motion = Fixed(T[None, :3, :3], (T[:3, :3] @ clip.mesh.centre + T[:3, 3])[None], np.zeros(1), len(clip))
     still = replace(result, T_hand_obj=np.tile(T, (len(clip), 1, 1)))
-    measured = evaluation.evaluate(still, clip, masks, wanted=[IOU]).metrics["iou"]
+    measured = evaluate_module.evaluate(still, clip, masks, wanted=[IOU]).metrics["iou"]
     poses = poses_in_camera(motion, problem.clip.hand.T_cam_hand)
     assert paper.crop_iou(problem, poses)[0] == pytest.approx(measured, abs=0.01)
 

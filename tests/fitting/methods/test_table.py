@@ -7,12 +7,12 @@ import pytest
 
 from getagrip.errors import UsageError
 from getagrip.fitting.energy import Energy
-from getagrip.fitting.energy.interaction import InteractionTerm
+from getagrip.fitting.energy.homan_terms import InteractionTerm
 from getagrip.fitting.methods import METHODS, Method, OnStage, paper
 from getagrip.fitting.methods.all_frames import soft_hinge, static
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
-from getagrip.timelines.reconstruct import reconstruct
+from getagrip.reconstruct import reconstruct
 from helpers.clips import small_clip
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from getagrip.errors import InputError
-from getagrip.io.pickles import stand_ins
+from getagrip.io import pickles
 from helpers.pickle_files import ARRAYS, HERE, PROTOCOLS, in_a_child, read
 
 
@@ -161,7 +161,7 @@ def test_damaged_pickles_get_no_further_than_an_error() -> None:
 def test_what_was_named_stays_as_it_is() -> None:
     """No state can be set on what a name stands for, by whatever instruction the pickle comes by it."""
     harm = b"N}X\x04\0\0\0harmK\x01s\x86"  # attributes of an object with slots
-    for module, name in stand_ins.ALLOWED_PICKLE_NAMES:
+    for module, name in pickles.ALLOWED_PICKLE_NAMES:
         for instruction in (b"", b")R", b")\x81", b")}\x92", b"0(i%s\n%s\n" % (module.encode(), name.encode())):
             named = b"c%s\n%s\n" % (module.encode(), name.encode())
             for state in (harm, b"}X\x04\0\0\0harmK\x01s"):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from getagrip.errors import InputError
-from getagrip.io.pickles import machine
+from getagrip.io import pickles
 from helpers.pickle_files import in_a_child, read
 
 LIMITED = """
@@ -110,7 +110,7 @@ def test_small_files_take_little_memory() -> None:
 
 def test_long_programs_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """An empty container takes a byte in the file and hundreds in memory."""
-    monkeypatch.setattr(machine, "MAX_PICKLE_INSTRUCTIONS", 100)
+    monkeypatch.setattr(pickles, "MAX_PICKLE_INSTRUCTIONS", 100)
     assert read(b"}" + b"]0" * 48 + b".") == {}
     with pytest.raises(InputError, match="more than 100 instructions"):
         read(b"}" + b"]0" * 50 + b".")

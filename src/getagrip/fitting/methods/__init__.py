@@ -78,7 +78,7 @@ BUILTIN_METHODS: Mapping[str, Method] = {
     "dynamic": Method("Dynamic", _lazy_fit("all_frames", "dynamic")),
     "single-frame": Method("Single Frame", _lazy_fit("single_frame")),
     "homan": Method("HOMan", _lazy_fit("homan")),
-    "contact-consistency": Method("contact consistency", _lazy_fit("contact_consistency", "fit_contact_consistency")),
+    "contact-consistency": Method("contact consistency", _lazy_fit("all_frames", "fit_contact_consistency")),
     "paper": _paper_method("1-DoF, the paper's", "fit", has_axis=True),
     "paper-static": _paper_method("Static, the paper's", "static"),
     "paper-dynamic": _paper_method("Dynamic, the paper's", "dynamic"),

@@ -1,4 +1,7 @@
-"""All frames fitted at once, the object moving in the hand as a motion model allows."""
+"""All frames fitted at once, the object moving in the hand as a motion model allows.
+
+The authors' later in-hand model: Dynamic, but distances between hand and object are asked to stay the same.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,9 @@ from typing import TypeVar
 import numpy as np
 
 from getagrip.fitting.energy import Energy
-from getagrip.fitting.hand_with_object import solve_with_hand
-from getagrip.fitting.initial_poses import initial_poses
+from getagrip.fitting.hand.hand_solution import SolvedHand
+from getagrip.fitting.hand.joint_hand_object import solve_with_hand
 from getagrip.fitting.methods import OnStage
-from getagrip.fitting.misfit import relative_contour_error, stiffen_ridge
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft
 from getagrip.fitting.objective import (
     NO_TERMS,
@@ -22,12 +24,11 @@ from getagrip.fitting.objective import (
     sum_energies,
 )
 from getagrip.fitting.problem import EnergyOf, MethodResult, Problem
-from getagrip.fitting.schedule import DEFAULT_SCHEDULE, THOROUGH_SCHEDULE
-from getagrip.fitting.search import Search
-from getagrip.fitting.shape import fit_shape
-from getagrip.fitting.solve import Solution, minimise
-from getagrip.fitting.solved_hand import SolvedHand
-from getagrip.fitting.usual import category_energy, category_rotations, handle_half_turns
+from getagrip.fitting.solver.category_prior import category_energy, category_rotations, handle_half_turns
+from getagrip.fitting.solver.initial_poses import initial_poses
+from getagrip.fitting.solver.search import DEFAULT_SCHEDULE, THOROUGH_SCHEDULE, Search
+from getagrip.fitting.solver.solve import Solution, minimise
+from getagrip.fitting.stages.mesh_deformation import fit_shape, relative_contour_error, stiffen_ridge
 from getagrip.geometry.warp import Warp
 from getagrip.result import Axis
 
@@ -252,3 +253,19 @@ def make_method_result(
     terms = {name: float(value[0]) for name, value in found.terms.items()}
     own = motion if energy_of else None
     return MethodResult(found.motion.poses(), found.energy, terms, found.status[0], axis, own, energy_of)
+
+
+CONTACT_CONSISTENCY_WEIGHT = 0.1
+"""Weight of the term (``objective.consistency_of``): theirs is 1."""
+
+
+def fit_contact_consistency(problem: Problem, on_stage: OnStage) -> MethodResult:
+    """Fit ``dynamic`` with one more term, in all stages. Raises ``GetagripError`` when nothing can be rendered."""
+    return dynamic(problem, on_stage, total_energy_with_consistency)
+
+
+def total_energy_with_consistency(problem: Problem) -> Energy:
+    """Return Eq. 5 and the term."""
+    return sum_energies(
+        total_energy(problem, contact=1.0), distance_consistency_energy(problem, CONTACT_CONSISTENCY_WEIGHT)
+    )

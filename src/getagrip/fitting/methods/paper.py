@@ -31,12 +31,10 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.errors import GetagripError
-from getagrip.fitting import adam, solve
-from getagrip.fitting.contact import HandContacts
 from getagrip.fitting.energy import Energy, PosesInCamera
-from getagrip.fitting.energy.mask import SilhouetteMesh
-from getagrip.fitting.energy.paper_pull import PaperPullTerm
-from getagrip.fitting.energy.paper_push import PaperPushTerm, TangentPlanes
+from getagrip.fitting.energy.contact import HandContacts
+from getagrip.fitting.energy.mask import MASK_CROP_SIZE_PX, SilhouetteMesh
+from getagrip.fitting.energy.paper_contact import PaperPullTerm, PaperPushTerm, TangentPlanes
 from getagrip.fitting.methods import OnStage
 from getagrip.fitting.methods import homan as homans
 from getagrip.fitting.methods import single_frame as single_frames
@@ -47,7 +45,7 @@ from getagrip.fitting.methods.all_frames import (
     make_method_result,
     search_of,
 )
-from getagrip.fitting.methods.homan_refine import RefinedTrack, joint_energy, make_rigid_bodies, refine_by_adam
+from getagrip.fitting.methods.homan import RefinedTrack, joint_energy, make_rigid_bodies, refine_by_adam
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion
 from getagrip.fitting.objective import (
     N_REGION_CONTACTS,
@@ -58,11 +56,11 @@ from getagrip.fitting.objective import (
     push_energy,
     sum_energies,
 )
-from getagrip.fitting.observation import MASK_CROP_SIZE_PX
 from getagrip.fitting.problem import EnergyOf, MethodResult, Problem
-from getagrip.fitting.search import suppress_duplicates
-from getagrip.fitting.solve import Solution, poses_in_camera
-from getagrip.kernels.silhouette import silhouettes
+from getagrip.fitting.solver import solve
+from getagrip.fitting.solver.search import suppress_duplicates
+from getagrip.fitting.solver.solve import Solution, poses_in_camera
+from getagrip.geometry.kernels.silhouette import silhouettes
 from getagrip.result import Status
 
 M = TypeVar("M", bound=Motion)
@@ -140,7 +138,7 @@ def homan(problem: Problem, on_stage: OnStage) -> MethodResult:
     """
 
     def alone(problem: Problem, start: Fixed, n: int) -> Solution[Fixed]:
-        return adam.minimise_by_adam(
+        return solve.minimise_by_adam(
             start,
             mask_energy(problem)(MASK_CROP_SIZE_PX, np.array([n])),
             np.eye(4)[None],
@@ -230,7 +228,7 @@ def every_start(
             if problem.options.departures.optimiser:
                 parts.append(solve.minimise(some, terms, T, PAPER_ITERATIONS, threads=problem.threads))
             else:
-                parts.append(adam.minimise_by_adam(some, terms, T, PAPER_ITERATIONS, PAPER_LEARNING_RATE))
+                parts.append(solve.minimise_by_adam(some, terms, T, PAPER_ITERATIONS, PAPER_LEARNING_RATE))
         on_stage(name)
     return reduce(lambda found, more: found.concatenate(more), parts)
 

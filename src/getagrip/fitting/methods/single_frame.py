@@ -11,14 +11,13 @@ from numpy import ndarray
 from getagrip.clip import Masks
 from getagrip.errors import GetagripError
 from getagrip.fitting.energy import Energy, Term
-from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods import OnStage
 from getagrip.fitting.motion import Fixed, PosesInHand
 from getagrip.fitting.objective import energy_of
 from getagrip.fitting.problem import MethodResult, Problem
-from getagrip.fitting.schedule import ALL_FRAMES, Schedule, Stage
-from getagrip.fitting.search import Search
-from getagrip.fitting.solve import Solution, minimise
+from getagrip.fitting.solver.initial_poses import initial_poses
+from getagrip.fitting.solver.search import ALL_FRAMES, Schedule, Search, Stage
+from getagrip.fitting.solver.solve import Solution, minimise
 from getagrip.geometry import se3
 from getagrip.result import Status
 

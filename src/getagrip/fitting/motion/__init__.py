@@ -5,13 +5,20 @@ the first two, with a small deviation per frame, ``Frozen``: any of them, what i
 ``MovingHand``: any of them in a hand that is unknown as well.
 """
 
-from getagrip.fitting.motion.base import HandPoses, Motion, PosesInHand, Prior, hand_object_transforms, transform_poses
-from getagrip.fitting.motion.fixed import Fixed
-from getagrip.fitting.motion.free import Free, interpolate_object_poses
+from getagrip.fitting.motion.base import (
+    HandPoses,
+    Motion,
+    PosesInHand,
+    Prior,
+    hand_object_transforms,
+    transform_poses,
+)
+from getagrip.fitting.motion.dynamic import Free, interpolate_object_poses
 from getagrip.fitting.motion.frozen import Frozen
 from getagrip.fitting.motion.hinge import Hinge, tangents
 from getagrip.fitting.motion.moving_hand import HandPrior, MovingHand
-from getagrip.fitting.motion.soft import Soft
+from getagrip.fitting.motion.soft_hinge import Soft
+from getagrip.fitting.motion.static import Fixed
 
 __all__ = [
     "Fixed",

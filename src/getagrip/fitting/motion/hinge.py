@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.fitting.motion.base import Batch, PosesInHand, Prior
-from getagrip.fitting.motion.fixed import Fixed
+from getagrip.fitting.motion.static import Fixed
 from getagrip.geometry import se3
 
 ANGLE_RIDGE = 400.0

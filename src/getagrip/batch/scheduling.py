@@ -1,0 +1,193 @@
+"""How a call shares its tasks out, over whom, within which limits, by which ledger; and how it treats its clips.
+
+These are options of several commands; what runs is loaded when it does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterable
+from contextlib import closing, nullcontext
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from zlib import crc32
+
+from tyro.conf import arg
+
+from getagrip.batch.job import Limits
+from getagrip.batch.summary import KeepOptions
+from getagrip.errors import UsageError
+from getagrip.io.options import Flag, OptionalFolder, parsed_argument
+
+if TYPE_CHECKING:
+    from getagrip.batch.engine import Engine, NamedTask
+    from getagrip.batch.executor import Start
+    from getagrip.batch.ledger import Ledger
+
+    AnyStart = Start[Any, Any]
+    """The start of an executor of any tasks."""
+
+J = TypeVar("J", bound="NamedTask")
+R = TypeVar("R")
+
+MAX_IN_PROCESS_TASKS = 3
+"""Up to this number of tasks are done in this process: others take longer to start."""
+
+
+@dataclass(frozen=True)
+class Shard:
+    """One of several equal parts of all clips, by their names: which one a clip is in depends on nothing else."""
+
+    index: int = 1
+    """1 to ``count``."""
+    count: int = 1
+
+    @classmethod
+    def of(cls, text: str) -> Shard:
+        """Parse "i/N". Raises ``UsageError``."""
+        index, slash, count = text.partition("/")
+        if not (slash and index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
+            raise UsageError(f"--shard must be i/N with i from 1 to N, such as 2/4 (got {text})")
+        return cls(int(index), int(count))
+
+    def __contains__(self, name: str) -> bool:
+        return crc32(name.encode()) % self.count == self.index - 1
+
+
+WHOLE_SHARD = Shard()
+"""Every clip."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SchedulingOptions:
+    """Who does the tasks of a call: clips, or what one process reads of a dataset.
+
+    Raises ``UsageError`` for fewer than one worker.
+    """
+
+    workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
+    """Number of processes. Up to three clips, or parts of a dataset, run in the command's own process. Default on a Ray
+    cluster: its CPUs; on Slurm: 64 array tasks."""
+    engine: Literal["local", "ray", "slurm"] = "local"
+    """Executor of the jobs: this machine, a Ray cluster, or Slurm's array jobs. All machines must see inputs and
+    outputs under the same paths."""
+    address: Annotated[str | None, arg(metavar="ADDR", help_behavior_hint="(default: RAY_ADDRESS, else one here)")] = (
+        None
+    )
+    """Address of a running Ray cluster: HOST:PORT, or auto."""
+    limits: Annotated[Limits, arg(name="")] = field(default_factory=Limits)
+    fail_fast: Flag = False
+    """Start no further work after the first failure; work in progress is finished."""
+    shard: Annotated[
+        Shard, parsed_argument("I/N", Shard.of, Shard), arg(metavar="I/N", help_behavior_hint="(default: all)")
+    ] = WHOLE_SHARD
+    """Do part I of N equal parts of the work, for N machines."""
+    ledger: OptionalFolder = None
+    """Local folder for the ledger, needed if --out is on a network file system."""
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and self.workers < 1:
+            raise UsageError(f"--workers must be 1 or more (got {self.workers})")
+
+    def executor(self, count: int, few: int = MAX_IN_PROCESS_TASKS) -> AnyStart | None:
+        """Choose the executor of ``count`` tasks; None: this process, by default for a ``few`` without limits."""
+        from getagrip.batch.executor import available_cores
+
+        workers, local = self.workers, self.engine == "local"
+        if local:
+            workers = max(1, min(count, workers or (1 if count <= few else available_cores())))
+        start = ENGINES[self.engine](workers, self.address)
+        return None if local and workers == 1 and not self.limits else start
+
+    def ended(
+        self,
+        engine: Engine[J, R],
+        tasks: Iterable[J],
+        count: int,
+        ledger: Ledger,
+        called: str,
+        *,
+        few: int = MAX_IN_PROCESS_TASKS,
+        stages: bool = False,
+    ) -> Generator[R, None, None]:
+        """Yield the outcome of each of ``count`` tasks, as they end, counted by a ``BatchProgress``.
+
+        ``called`` is what tasks are, in the plural. With ``stages``, work in this process also takes a function to call
+        with its progress, which a bar shows. Raises ``UsageError`` as ``executor`` does, else as ``Engine.run``.
+        """
+        from getagrip.batch.clusters import report_on_death
+        from getagrip.batch.engine import BatchProgress, run_with_stage_bar
+        from getagrip.io.terminal import progress_bar
+
+        engine = replace(engine, executor=self.executor(count, few), limits=self.limits)
+        watched = report_on_death(ledger.path.parent, called) if self.engine == "ray" else nullcontext()
+        with watched, progress_bar() as bar:
+            if stages:
+                engine = replace(engine, in_this=partial(run_with_stage_bar, bar, engine.work))
+            pace = BatchProgress(bar, called, count)
+            with closing(engine.run(tasks, ledger)) as ends:
+                for result in ends:
+                    yield result
+                    pace.count(engine.entry(result).state)
+
+
+Executors = Annotated[SchedulingOptions, arg(name="executor", help="Where the work is done, and within which limits.")]
+"""The options of who does the tasks, under a heading of their own in ``--help``."""
+DEFAULT_SCHEDULING = SchedulingOptions()
+"""All tasks, on this machine, any time and memory."""
+
+
+@dataclass(frozen=True)
+class BatchOptions:
+    """How a call treats its clips. Raises ``UsageError``."""
+
+    threads: Annotated[int, arg(metavar="N")] = 1
+    """Threads for each clip, to get a single clip sooner; many clips are faster with --workers. Results are
+    bit-equal."""
+    overwrite: Flag = False
+    """Recompute valid results, too."""
+    strict: Flag = False
+    """Exit with 1 also if a check has a serious finding (the result is probably worthless), or a result is less
+    probable than --min-probability."""
+    min_probability: Annotated[float, arg(metavar="P")] = 0.5
+    """With --strict, the least probability that poses are right in the hand, 0 to 1. Results without a probability
+    pass, if no finding is serious."""
+    keep: Annotated[KeepOptions, arg(name="")] = field(default_factory=KeepOptions)
+    share: Executors = field(default_factory=SchedulingOptions)
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.min_probability <= 1.0:
+            raise UsageError(f"--min-probability must be 0 to 1 (got {self.min_probability:g})")
+        if self.threads < 1:
+            raise UsageError(f"--threads must be 1 or more (got {self.threads})")
+
+
+def _local_executor(workers: int | None, address: str | None) -> AnyStart:
+    from getagrip.batch.executor import Processes, available_cores
+
+    _refuse_address(address)
+    return partial(Processes, workers or available_cores())
+
+
+def _ray_executor(workers: int | None, address: str | None) -> AnyStart:
+    from getagrip.batch.clusters import RayExecutor
+
+    return partial(RayExecutor, workers, address)
+
+
+def _slurm_executor(workers: int | None, address: str | None) -> AnyStart:
+    from getagrip.batch.clusters import SlurmExecutor
+
+    _refuse_address(address)
+    return partial(SlurmExecutor, workers)
+
+
+def _refuse_address(address: str | None) -> None:
+    if address is not None:
+        raise UsageError("--address cannot be used without --engine ray")
+
+
+ENGINES: dict[str, Callable[[int | None, str | None], AnyStart]] = {
+    "local": _local_executor, "ray": _ray_executor, "slurm": _slurm_executor,
+}  # fmt: skip
+"""By name: from the number of workers and the cluster's address, each None if not said, to the start of an executor."""

@@ -1,0 +1,1 @@
+"""Inputs of a benchmark, changed on purpose: noise, estimated masks, simulated evidence, mistakes."""

@@ -1,0 +1,40 @@
+"""Sources of a benchmark's clips: a file for each dataset, and one for folders of clips."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from getagrip.bench.sources.source import ClipSource, Sample, read_clip_names
+from getagrip.errors import UsageError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from getagrip.batch.job import Outcome
+    from getagrip.batch.scheduling import SchedulingOptions
+
+__all__ = ["ClipSource", "Sample", "read_clip_names", "sample_clips"]
+
+
+def sample_clips(
+    source: ClipSource, clips: Path, count: int | None, debug: bool, share: SchedulingOptions | None = None
+) -> tuple[list[Sample], list[Outcome]]:
+    """Return ``count`` evenly sampled clips of a source, and the outcomes of those that are none.
+
+    ``clips`` is where a source may make them, shared out as ``share`` says.
+    Raises ``UsageError`` for a count below 1, and as the source does.
+    """
+    import numpy as np
+
+    from getagrip.batch.job import Outcome
+
+    if count is not None and count < 1:
+        raise UsageError(f"--clips must be 1 or more (got {count})")
+    found, failed = source.samples(clips, debug, share)
+    if source.only is not None:
+        missing = sorted(source.only - {sample.name for sample in found})
+        failed += [Outcome(name, "failed", f"no such clip of {source.title}") for name in missing]
+        found = [sample for sample in found if sample.name in source.only]
+    if count is not None and count < len(found):
+        found = [found[n] for n in np.linspace(0, len(found) - 1, count).round().astype(int)]
+    return found, failed

@@ -1,0 +1,254 @@
+"""Agreement of masks where they differ from the result: if they agree, the result is wrong and not the masks.
+
+Where a right result differs from rough masks, it does so elsewhere in each frame. A wrong pose, hand, mesh or camera
+differs from exact masks at the same side of the object in successive frames. Where it meets most masks and some
+successive ones much less, these masks lack a part, or their hands are wrong.
+
+A clip with all that a fit has found for it, as the signs of a right result look at it.
+
+Regrasps: one step of the object in the hand that is far larger than all others.
+
+So it does where a hand lets go and grasps again; a clip is to hold one stable grasp.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.checks.evidence import Evidence
+from getagrip.clip.clip import frame_indices
+from getagrip.geometry import se3
+from getagrip.geometry.rasterize import render_coverage
+from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
+from getagrip.metrics.symmetry import find_symmetries, surface_points
+from getagrip.result import Axis, Candidates
+
+N_COMPARED_FRAMES, N_COMPARED_POINTS = 5, 200
+"""Frames in which candidates are compared, and points of the object's surface."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SolvedEvidence(Evidence):
+    """A fitted clip at the frames that were fitted together; its hand is the one that the poses are relative to.
+
+    Attributes:
+        T_hand_obj: (T, 4, 4) poses that were found.
+        iou: (T,) overlap of rendered and observed mask.
+        candidates: the best distinct solutions in these frames; the first is the one that was found.
+        axis: the axis that was found, where the method has one.
+        T_cam_hand_input: (T, 4, 4) poses of the hand as it was given.
+        spread: standard deviation of the pose that the energy leaves, in diameters; NaN where it is not known.
+        hand_spread: standard deviation of an object in the hand that the evidence on the hand leaves [m].
+        joint_error: error of the hand's 2D joints, estimated from the clip [shares of the hand's box]; NaN: none count.
+    """
+
+    candidates: Candidates
+    axis: Axis | None
+    T_cam_hand_input: Float[ndarray, "T 4 4"]
+    spread: float
+    hand_spread: float
+    joint_error: float = np.nan
+
+    @property
+    def poses(self) -> Float[ndarray, "T 4 4"]:
+        """``T_hand_obj``, which is known here."""
+        assert self.T_hand_obj is not None
+        return self.T_hand_obj
+
+    @property
+    def diameter(self) -> float:
+        """Diameter of the object at the resulting scale [m]."""
+        return self.scale * self.clip.mesh.diameter
+
+    @property
+    def energy_times(self) -> Float[ndarray, "K"]:
+        """How many times as large as the least energy those of the candidates are."""
+        energy = np.maximum(self.candidates.energy, 1e-9)
+        return np.asarray(energy / energy.min())
+
+    @cached_property
+    def apart(self) -> Float[ndarray, "K"]:
+        """Distance of each candidate's surface from that of the first, in diameters.
+
+        Means of the distances to the nearest point, so that symmetric poses are not apart.
+        """
+        from scipy.spatial import cKDTree
+
+        few = frame_indices(len(self.clip), N_COMPARED_FRAMES)
+        points = surface_points(self.clip.mesh, N_COMPARED_POINTS)
+        T, scale = self.candidates.T_hand_obj[:, few], self.candidates.scale[:, None, None, None]
+        surfaces = se3.transform(T, scale * points)
+        trees = [cKDTree(surface) for surface in surfaces[0]]
+        off = [[tree.query(x)[0].mean() for tree, x in zip(trees, surface, strict=True)] for surface in surfaces]
+        nearest = [tree.query(x, k=2)[0][:, 1].mean() for tree, x in zip(trees, surfaces[0], strict=True)]
+        return np.maximum(np.mean(off, axis=1) - 0.5 * np.mean(nearest), 0.0) / self.diameter
+
+    def vertices_apart(self, k: int) -> float:
+        """Return the distance of a candidate's vertices from those of the first, in diameters.
+
+        The distance is ADD, up to symmetries.
+        """
+        if k == 0:
+            return 0.0
+        few, mesh = frame_indices(len(self.clip), N_COMPARED_FRAMES), self.clip.mesh
+        first, other = (
+            ObjectTrack(self.candidates.T_hand_obj[n, few], float(self.candidates.scale[n])) for n in (0, k)
+        )
+        symmetry = best_symmetry(mesh, other, first, find_symmetries(mesh))
+        return float(pose_errors(mesh, other, first, symmetry).add.mean()) / self.diameter
+
+    @cached_property
+    def off_axis(self) -> float:
+        """Angle by which the motion is off a rotation about the axis, root mean square [rad]."""
+        R = self.poses[:, :3, :3]
+        if self.axis is not None:
+            R = se3.exp_so3(-self.axis.angle[:, None] * self.axis.direction) @ R
+        return float(np.sqrt(np.mean(se3.angle_between(R, se3.nearest_rotation(R.mean(axis=0))) ** 2)))
+
+    @property
+    def hand_shift(self) -> float:
+        """Shift of the hand's middle by the refinement, mean over frames [m]."""
+        middle = self.clip.hand.vertices.mean(axis=(0, 1))[None]
+        T, value = self.clip.hand.T_cam_hand, self.T_cam_hand_input
+        return float(np.linalg.norm(se3.transform(T, middle) - se3.transform(value, middle), axis=-1).mean())
+
+    @property
+    def hand_turn(self) -> float:
+        """Rotation of the hand by the refinement, mean over frames [rad]."""
+        T, value = self.clip.hand.T_cam_hand, self.T_cam_hand_input
+        return float(se3.angle_between(T[:, :3, :3], value[:, :3, :3]).mean())
+
+
+UNKNOWN_VALUE = float("nan")
+MAX_GOOD_MISFIT, MIN_GOOD_IOU = 3.0, 0.9
+"""A result that is better than both is not looked at."""
+MIN_BUILT_IN_IOU = 0.85
+"""A result of a built-in shape, which is not the object's, is looked at only if it is worse. In 45 grasps of videos its
+misfit alone was large for two right results, and for no wrong one."""
+N_DIFFERENCE_CELLS = 8
+"""Cells of the square about a mask along either side, in which differences are summed: motion moves them by less."""
+MIN_DIFFERENCE_CORRELATION = 0.5
+"""Correlation of differences in successive frames from which masks agree. In trials on 8 synthetic clips with contours
+off by 4 px in each frame anew it was at most 0.43 beside poses found right, and at least 0.85 in the four of 20 frames
+with hands that turn wrongly (seen in trials, no command repeats it)."""
+
+UNEVEN_IOU_RATIO = 0.9
+"""Frames whose IOU is below this share of the median one are met less than the others."""
+
+
+def consistent_contour_misfit(it: Evidence) -> float:
+    """Return the contours' misfit to masks that agree with each other (``Evidence.misfit``).
+
+    It is NaN where they do not, and for a built-in shape.
+    """
+    return (
+        it.misfit
+        if it.misfit > MAX_GOOD_MISFIT
+        and not it.shape_assumed
+        and difference_correlation(it) > MIN_DIFFERENCE_CORRELATION
+        else UNKNOWN_VALUE
+    )
+
+
+def consistent_mean_iou(it: Evidence) -> float:
+    """Return the IOU with masks that agree with each other.
+
+    It is NaN where they do not, or where contours are near: then the object is small in the image.
+    """
+    iou, usual = float(np.nanmean(it.overlaps)), MIN_BUILT_IN_IOU if it.shape_assumed else MIN_GOOD_IOU
+    return (
+        iou
+        if iou < usual and not it.misfit <= MAX_GOOD_MISFIT and difference_correlation(it) > MIN_DIFFERENCE_CORRELATION
+        else UNKNOWN_VALUE
+    )
+
+
+def min_iou_ratio(it: Evidence) -> float:
+    """Return the least IOU as a share of the median one; single frames do not count."""
+    return float(_iou_by_median(it).min(initial=1.0))
+
+
+def describe_low_iou_frames(it: Evidence) -> str:
+    """Name the frames about the least IOU that are met less than the others."""
+    by_median = _iou_by_median(it)
+    worst, usual = int(by_median.argmin()), np.flatnonzero(by_median >= UNEVEN_IOU_RATIO)
+    first = int(usual[usual < worst].max(initial=-1)) + 1
+    last = int(usual[usual > worst].min(initial=len(by_median))) - 1
+    names = np.array(it.iou_frames or it.clip.frames)[~np.isnan(it.overlaps)]
+    some = f"masks from frame {names[first]} to {names[last]}" if first < last else f"masks about frame {names[first]}"
+    median = float(np.nanmedian(it.overlaps))
+    less = median * float(by_median[first : last + 1].mean())
+    least = f"at worst {100.0 * by_median[worst]:.3g} % of the median one, {median:.2f}"
+    return f"{some} are met with a mean IOU of {less:.2f}, {least}"
+
+
+def _iou_by_median(it: Evidence) -> Float[ndarray, "n"]:
+    """Return the IOU of each frame with a mask by the median one: the median of three frames in a row."""
+    iou = it.overlaps[~np.isnan(it.overlaps)]
+    if len(iou) < 3:
+        return np.ones(len(iou))
+    padded = np.pad(iou, 1, mode="reflect")  # a first or last frame does not count alone, either
+    return np.asarray(np.median([padded[:-2], iou, padded[2:]], axis=0) / max(np.median(iou), 1e-9))
+
+
+def difference_correlation(it: Evidence) -> float:
+    """Correlate the differences between mask and silhouette in successive frames, median; 0 where none follow."""
+    each = [_mask_difference(it, int(n)) for n in np.flatnonzero(it.mask_area > 0)]
+    alike = [_correlate(a, b) for a, b in pairwise(each)]
+    return float(np.median(alike)) if alike else 0.0
+
+
+def _mask_difference(it: Evidence, n: int) -> Float[ndarray, "g g"]:
+    """Pixels of the mask alone less those of the silhouette alone, outside ignored ones, in cells about the mask."""
+    mask, ignored = it.masks.object[n], it.masks.ignore[n]
+    silhouette = render_coverage(it.posed[n], it.clip.mesh.faces, it.clip.K[n], it.clip.size)
+    rows, columns = np.nonzero(mask ^ (silhouette & (mask | ~ignored)))
+    half = float(np.max(it.boxes[n, 2:] - it.boxes[n, :2]))
+    across, down = (
+        ((at - middle) / half + 1.0) * N_DIFFERENCE_CELLS / 2.0
+        for at, middle in zip((columns, rows), it.centroids[n], strict=True)
+    )
+    edges = np.arange(N_DIFFERENCE_CELLS + 1.0)
+    return np.histogram2d(down, across, (edges, edges), weights=np.where(mask[rows, columns], 1.0, -1.0))[0]
+
+
+def _correlate(a: Float[ndarray, "g g"], b: Float[ndarray, "g g"]) -> float:
+    """Correlate two differences; 0 where one is nothing."""
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(np.sum(a * b)) / size if size else 0.0
+
+
+MIN_REGRASP_FRAMES = 8
+"""Fewer frames tell no step from another."""
+USUAL_STEP_RANK = 3
+"""Rank of the step that counts as a usual one in the clip."""
+N_REGRASP_POINTS = 200
+"""Points of the object's surface."""
+
+
+def object_steps(it: Evidence) -> Float[ndarray, "n"]:
+    """Return the step of the object's surface in the hand between frames (root mean square), in diameters."""
+    assert it.T_hand_obj is not None
+    surface = se3.transform(it.T_hand_obj, it.scale * surface_points(it.clip.mesh, N_REGRASP_POINTS)[None])
+    moved = np.sqrt(np.square(surface[1:] - surface[:-1]).sum(axis=-1).mean(axis=-1))
+    return np.asarray(moved / (it.scale * it.clip.mesh.diameter))
+
+
+def regrasp_jump(it: Evidence) -> float:
+    """Return the largest step, less two usual ones; NaN for few frames."""
+    if len(it.clip) < MIN_REGRASP_FRAMES:
+        return float("nan")
+    largest = np.sort(object_steps(it))[::-1]
+    return max(float(largest[0] - 2.0 * largest[USUAL_STEP_RANK]), 0.0)
+
+
+def describe_largest_step(it: Evidence) -> str:
+    """Say between which frames the largest step is."""
+    n = int(np.argmax(object_steps(it)))
+    return f"from frame {it.clip.frames[n]} to {it.clip.frames[n + 1]}"

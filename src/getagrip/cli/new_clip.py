@@ -1,0 +1,483 @@
+"""``getagrip clip new``: a clip from the user's own video, masks, hands and mesh, as far as they are there.
+
+A clip can be made in steps: without hands or masks it is written with its images, for which an estimator or a
+segmentation can then be run; what is missing is listed, with how to get it.
+
+The mesh of a user's own clip: from a file or, by its kind's name, one of this package's shapes; at a stated size.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from getagrip.cli.command import Command, FirstNumber, Labels, OptionalSide
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry.camera import Distortion, Lens
+from getagrip.io import files
+from getagrip.io.options import Flag, Folder, OptionalFile, one_of
+from getagrip.io.terminal import format_count, warn
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int, UInt8
+    from numpy import ndarray
+
+    from getagrip.clip import Clip, HandTrack
+    from getagrip.clip.read import SegmentList
+    from getagrip.geometry.mesh import Mesh
+    from getagrip.provenance import Provenance, Source
+    from getagrip.readers.masks.mask_request import MaskReader
+    from getagrip.readers.trackers import TrackedHands
+
+Unit = Literal["mm", "cm", "m", "in"]
+METRES_PER_UNIT: dict[Unit, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+MIN_PART_SIZE_FRACTION = 0.05
+"""Parts smaller than this do not count as things of their own [share of the mesh's size]."""
+FREE_SCALE_SIZE_M = 0.1
+"""Largest side that a mesh of free scale gets where its own is no hand-held object's in metres [m]."""
+
+
+@dataclass(frozen=True)
+class MeshOptions:
+    """The mesh of a user's own clip, and its size."""
+
+    mesh: Annotated[Path | None, arg(metavar="FILE|KIND", help_behavior_hint="")] = None
+    """The object's shape: a file (.obj, .ply, .stl or .glb) or, if there is no such file, the kind of a built-in shape:
+    bottle, bowl, can, cup, glass, mug, pan, plate, saucepan, box, ..."""
+    size_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: as it is)")] = None
+    """Rescale the mesh to this largest side of its bounding box."""
+    diameter_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: as it is)")] = None
+    """Rescale the mesh to this largest distance between two of its points."""
+    unit: Annotated[Unit | None, one_of("mm", "cm", "m", "in"), arg(help_behavior_hint="(default: m)")] = None
+    """The unit of the mesh file."""
+    part: Annotated[str | None, arg(metavar="N|all", help_behavior_hint="")] = None
+    """The part of the mesh that is the object, if it has separate ones, as a scan has with its table: 1 is the largest.
+    all: all of them are."""
+    known_scale: Flag = False
+    """The mesh, in its unit, has the object's true size. Without this and without rescaling, the size is estimated."""
+
+    @property
+    def path(self) -> Path:
+        """The mesh. Raises ``UsageError`` where none is named."""
+        if self.mesh is None:
+            raise UsageError("missing --mesh: the object's shape")
+        return self.mesh
+
+    @property
+    def kind(self) -> str | None:
+        """The kind of object whose own shape is wanted; None for a file."""
+        from getagrip.synthetic.categories import SHAPE_MAKERS
+
+        name = str(self.mesh)
+        return name if name in SHAPE_MAKERS and not Path(name).is_file() else None
+
+
+@dataclass(frozen=True)
+class OwnMesh:
+    """A mesh in metres."""
+
+    mesh: Mesh
+    sized: bool
+    """True if it has the object's size; else the size is to be found with the pose."""
+    provenance: dict[str, Source]
+    """Sources of the mesh and its size."""
+
+
+def read_own_mesh(request: MeshOptions) -> OwnMesh:
+    """Read the mesh at its size.
+
+    Raises ``InputError`` for a file that is missing or no mesh, ``UsageError`` for sizes that make no sense.
+    """
+    from getagrip.geometry.mesh_files import checked_mesh, drop_degenerate_faces
+    from getagrip.provenance import assumed
+
+    if request.kind is not None and request.known_scale:
+        own = f"this package's own {request.kind}, whose size is not that of the one in your video"
+        raise UsageError(f"--known-scale cannot be used with {own}: --size-mm or --diameter-mm")
+    if request.kind is not None and request.unit is not None:
+        raise UsageError(f"--unit cannot be used with this package's own {request.kind}, which is in metres")
+    vertices, faces, shape = _read_mesh_arrays(request)
+    words = shape.text
+    kept = drop_degenerate_faces(vertices, faces)  # generated meshes are full of slivers
+    if len(kept) < len(faces):
+        words += f", {format_count(len(faces) - len(kept), 'face')} without area left out"
+    kept, words_of_part, guess = _select_mesh_part(vertices, kept, request)
+    words += words_of_part
+    vertices, scale = _rescale_vertices(vertices, kept, request)
+    if request.unit is not None:
+        words += f", in {request.unit}"
+    shape = assumed(words) if guess else replace(shape, text=words)
+    provenance = {"mesh": shape} | ({} if scale is None else {"scale": scale})
+    sized = request.known_scale or request.size_mm is not None or request.diameter_mm is not None
+    return OwnMesh(checked_mesh(request.path, vertices, kept), sized, provenance)
+
+
+def _read_mesh_arrays(request: MeshOptions) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], Source]:
+    """Vertices, faces, and where they come from."""
+    from getagrip.geometry.mesh_files import MESH_SUFFIXES, parse_mesh
+    from getagrip.provenance import Source, assumed
+    from getagrip.synthetic.categories import SHAPE_MAKERS
+
+    if request.kind is not None:
+        made = SHAPE_MAKERS[request.kind]()
+        return made.vertices, made.faces, assumed(f"this package's own {request.kind}: a guess of the object's shape")
+    if not request.path.is_file():
+        kinds = ", ".join(sorted(SHAPE_MAKERS))
+        expected = f"a triangle mesh ({', '.join(MESH_SUFFIXES)}), or the name of one of this package's shapes: {kinds}"
+        raise InputError(request.path, "mesh", "no such file", expected)
+    return *parse_mesh(request.path), Source(request.path.name)
+
+
+def _select_mesh_part(
+    vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."], request: MeshOptions
+) -> tuple[Int[ndarray, "..."], str, bool]:
+    """Return the faces of the part that is the object, what is said of it, and whether that is a guess.
+
+    Raises ``UsageError`` where a size is stated and it is not known of which of several parts, small debris apart.
+    """
+    import numpy as np
+
+    from getagrip.geometry.mesh import separate_parts
+
+    if request.part is not None and not (request.part == "all" or (request.part.isdecimal() and int(request.part))):
+        raise UsageError(f"--part must be the number of a part, from 1, or all (got {request.part!r})")
+    usable = vertices.ndim == 2 and vertices.shape[1:] == (3,) and faces.shape[1:] == (3,) and faces.size
+    if not usable or not 0 <= faces.min() <= faces.max() < len(vertices) or not np.isfinite(vertices).all():
+        return faces, "", False  # checked_mesh says what is wrong
+    parts = separate_parts(vertices, faces)
+    sides = [np.ptp(vertices[faces[part].ravel()], axis=0) for part in parts]
+    whole = float(np.ptp(vertices[faces.ravel()], axis=0).max())
+    count = sum(side.max() >= MIN_PART_SIZE_FRACTION * whole for side in sides)
+    listed = ", ".join(
+        " x ".join(f"{METRES_PER_UNIT[request.unit or 'm'] * each:.3g}" for each in side) for side in sides[:count]
+    )
+    if request.part is not None and request.part != "all":
+        number = int(request.part)
+        if number > len(parts):
+            raise UsageError(f"--part must be 1 to {len(parts)}, the parts of {request.path} (got {number})")
+        return faces[np.sort(parts[number - 1])], f", part {number} of {len(parts)}", False
+    if request.part == "all" or count < 2:
+        return faces, "", False
+    found = f"{count} separate parts, {listed} (sides [{'m' if request.unit else 'units of the file'}])"
+    if request.size_mm is not None or request.diameter_mm is not None:
+        option = "--size-mm" if request.size_mm is not None else "--diameter-mm"
+        way = f"{option} is of that; or take the others out of the file"
+        raise UsageError(f"{request.path}: {found}: missing --part N, the one that is held, or --part all; {way}")
+    return faces, f", {found}, all taken as the object: a guess; --part takes one", True
+
+
+def _rescale_vertices(
+    vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."], request: MeshOptions
+) -> tuple[Float[ndarray, "..."], Source | None]:
+    """Vertices at the size that is stated, and where it comes from; None where none is stated.
+
+    The size is that of the surface: files hold points that no face uses.
+    """
+    import numpy as np
+
+    from getagrip.geometry.mesh import diameter
+    from getagrip.geometry.mesh_files import MAX_MESH_EXTENT_M, MIN_MESH_EXTENT_M
+    from getagrip.provenance import Source, assumed
+
+    sizes = {"--size-mm": request.size_mm, "--diameter-mm": request.diameter_mm}
+    stated = [(option, value) for option, value in sizes.items() if value is not None]
+    if len(stated) > 1:
+        raise UsageError("--size-mm cannot be used with --diameter-mm")
+    known_unit = METRES_PER_UNIT[request.unit or "m"]
+    used = vertices
+    if faces.size and vertices.size and 0 <= faces.min() <= faces.max() < len(vertices):
+        used = vertices[np.unique(faces)]
+    extent = float(np.ptp(used, axis=0).max()) if used.ndim == 2 and used.size and np.isfinite(used).all() else 0.0
+    plausible = MIN_MESH_EXTENT_M <= known_unit * extent <= MAX_MESH_EXTENT_M or extent == 0
+    if not stated and plausible:
+        return known_unit * vertices, None
+    if not stated and request.known_scale:
+        got = f"the object {known_unit * extent:.4g} m large"
+        expected = f"{MIN_MESH_EXTENT_M:g} to {MAX_MESH_EXTENT_M:g} m; if the file is in another unit than the metre, --unit mm, cm or in"
+        raise InputError(request.path, "vertices", got, f"{expected}, or --size-mm or --diameter-mm")
+    if not stated:
+        factor = FREE_SCALE_SIZE_M / extent
+        text = f"the mesh, {extent:.4g} units large, rescaled by {factor:.6g}: its size is a guess"
+        return factor * vertices, assumed(text)
+    option, value = stated[0]
+    if not 1e3 * MIN_MESH_EXTENT_M <= value <= 1e3 * MAX_MESH_EXTENT_M:
+        raise UsageError(
+            f"{option} must be {1e3 * MIN_MESH_EXTENT_M:g} to {1e3 * MAX_MESH_EXTENT_M:g} millimetres (got {value:g})"
+        )
+    now = (diameter(used) if option == "--diameter-mm" else extent) if extent else 0.0
+    factor = value / 1e3 / now if now > 0 else 1.0  # checked_mesh reports what is wrong with the others
+    return vertices * factor, Source(f"the mesh rescaled by {factor:.6g}, to {option} {value:g}")
+
+
+MAX_CLIP_FRAMES = 20_000
+"""Most frames of a clip; a stable grasp of minutes."""
+INCOMPLETE_EXIT_STATUS = 3
+"""Exit status where the clip is made, and lacks masks or hands, or most frames lack a hand, or its camera seems to be
+of other images."""
+
+
+MISSING_OPTION_HINTS = {
+    "interval": "--interval START END: the frames between which the grasp is stable, counted from 1; "
+    "getagrip annotate {video} --out DIR finds them; or all frames, for reconstruct --find-grasps",
+    "side": "--side left|right: the hand that holds the object",
+    "mesh": "--mesh FILE: the object's shape (.obj, .ply, .stl, .glb), a CAD, a scan, or what an image-to-3D tool "
+    "makes of a frame; or --mesh KIND, as plate, for a shape of this package's own; with --size-mm or --diameter-mm if "
+    "its size is known",
+    "camera": "--K FX FY CX CY from a calibration, or --focal PX; --guess-focal if there is none: depth and size are "
+    "then guesses, too",
+}
+"""How to get what a clip cannot be made without."""
+NEXT_STEP_HINTS = {
+    "masks": "masks of the object and the hand: SAM 2 or any segmentation of {out}/frames, as PNG labels, COCO "
+    "or .npz; then getagrip import masks PATH --object LABEL --hand LABEL --clip {out}. Without a segmentation: "
+    "getagrip annotate {video} --out DIR (docs/annotate.md)",
+    "hands": "run an estimator on {out}/frames (docs/estimators.md); then getagrip import hands FILE... --from ... "
+    "--clip {out}. Without an estimator: click joints in getagrip annotate {video} --out DIR (docs/annotate.md)",
+}
+"""How to get what can be added later; the page of ``annotate`` makes both at once."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NewClip(Command):
+    """Make a clip of your own video, at once or in steps. What is still missing is listed, with how to get it."""
+
+    video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER")]
+    """The video, undistorted or with --distortion; or a folder of its images, in the order of their numbers."""
+    out: Folder
+    """The clip's folder; its name is the clip's."""
+    interval: Annotated[tuple[int, int] | None, arg(metavar="START END", help_behavior_hint="")] = None
+    """First and last frame of the stable grasp or of the timeline, counted from 1."""
+    side: OptionalSide = None
+    """Side of the hand."""
+    shape: Annotated[MeshOptions, arg(name="")] = field(default_factory=MeshOptions)
+    category: Annotated[str | None, arg(metavar="WORD", help_behavior_hint="(default: KIND, or object)")] = None
+    """Category of the object, in a word."""
+    masks: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")] = None
+    """Masks, as for import masks, which can add them later."""
+    mask_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: START)")] = None
+    """The number that the masks give to frame START."""
+    mask_images: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: all)")] = ""
+    """Folder, or pattern of names, of the mask images to use, if there are several for a frame."""
+    object: Labels = ()
+    """Labels of the object in the masks."""
+    ignore: Labels = ()
+    """Labels of whatever hides the object, in the masks."""
+    hand: Labels = ()
+    """Labels of the hand that holds the object, in the masks. Its pixels are ignored as well, and --hands are refined
+    against them."""
+    hands: OptionalFile = None
+    """A hand.npz, as import hands --out writes it; import hands can also add hands later."""
+    hand_first: FirstNumber = None
+    """The number that --hands gives to the first frame, if it counts from another start."""
+    segments: OptionalFile = None
+    """Segments of the clip, as annotate writes them; import segments can add them later."""
+    still_camera: Flag = False
+    """State that the camera did not move: the camera frame is then the world."""
+    lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
+    """The camera. Not needed if the hand file has it."""
+    distorted: Annotated[Distortion, arg(name="")] = field(default_factory=Distortion)
+    images: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: all)")] = ""
+    """Pattern of names of the images to use (rgb_*), if a folder has several sets of them."""
+    fps: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="(default: 30)")] = None
+    """Frames per second of a folder of images; a video has its frames' own times."""
+    overwrite: Flag = False
+    """Replace a clip that is there already."""
+
+    def run(self) -> int:
+        """Write a clip.
+
+        Returns 0 if it is complete, 3 if masks or hands are missing or there is a warning about its camera, 2 if
+        required options are missing. Raises ``InputError`` for files that do not fit, ``UsageError`` where the folder
+        exists, unless it is that of a clip to be overwritten.
+        """
+        import numpy as np
+
+        from getagrip.cli.import_files import report_masks
+        from getagrip.cli.import_hands import HandFile, camera_of
+        from getagrip.clip import Clip
+        from getagrip.clip.read import add_segments
+        from getagrip.clip.read_arrays import check_in_view
+        from getagrip.clip.write import missing_hand_provenance
+        from getagrip.readers.video import footage_interval, size_and_rate
+
+        if self.out.exists() and not self.overwrite:
+            raise UsageError(f"{self.out}: exists already; --overwrite replaces it")
+        if not files.is_portable_name(self.out.name):
+            raise UsageError(f"--out must be a folder whose name can be the clip's (got {self.out})")
+        size, fps = size_and_rate(self.video, self.fps, self.images)
+        print(f"video: {size[0]} x {size[1]}, {fps:.6g} frames per second")
+        hands = None if self.hands is None else HandFile.of(self.hands)
+        has = {
+            "interval": self.interval is not None,
+            "side": self.side is not None,
+            "mesh": self.shape.mesh is not None,
+            "camera": self.lens.is_set or (hands is not None and hands.K is not None),
+        }
+        missing = [key for key, there in has.items() if not there]
+        for key in missing:
+            print(f"missing: {key}: {MISSING_OPTION_HINTS[key].format(video=self.video)}", file=sys.stderr)
+        if missing or self.interval is None or self.side is None:
+            return 2
+        numbers = _interval_frame_numbers(self.interval)
+        footage = footage_interval(self.video, numbers, size, fps, self.fps is not None, self.images)
+        names = footage.names
+        K, camera = camera_of(self.lens, hands, size)
+        images, camera = footage.images(), replace(camera, text=camera.text + self.distorted.words)
+        if self.distorted.words:
+            images = map(self.distorted.removal(K, size), images)
+        found = read_own_mesh(self.shape)
+        found_hands = None if hands is None else hands.at(names, self.side, self.hand_first)
+        of_hands: Provenance = {"hands": "none yet"}
+        if hands is not None and found_hands is not None:
+            check_in_view(hands.path, found_hands.track, np.tile(K, (len(found_hands.found), 1, 1)), size)
+            of_hands = found_hands.provenance | missing_hand_provenance(names, found_hands.found)
+        clip = Clip(
+            folder=self.out,
+            name=self.out.name,
+            category=self.category or self.shape.kind or "object",
+            side=self.side,
+            fps=footage.fps,
+            frames=names,
+            times=footage.times,
+            size=size,
+            K=np.tile(K, (len(numbers), 1, 1)),
+            mesh=found.mesh,
+            scale="known" if found.sized else "free",
+            hand=_empty_hand_track(len(numbers)),
+            provenance={
+                "source": f"{self.video.name}, frames {numbers[0]} to {numbers[-1]}",
+                "camera": camera,
+                **({"times": footage.rate} if footage.rate else {}),
+                **found.provenance,
+                "masks": _masks_source(self),
+                **of_hands,
+            },
+        )
+        clip = add_segments(clip, _read_new_segments(self, self.out))
+        reader = None if self.masks is None else _open_clip_masks(self, names, size)
+        visible = _write_new_clip(clip, found_hands, images, reader, self.out, self.overwrite)
+        unsure = report_masks(reader, clip.frames, visible) if reader else 0
+        return _print_new_clip(clip, self, found_hands, self.out) or unsure
+
+
+def _read_new_segments(new: NewClip, out: Path) -> SegmentList:
+    """Read the segments and the camera's motion; empty for a clip that is one stable grasp."""
+    from getagrip.cli.import_files import add_camera_statement
+    from getagrip.clip.read import SegmentList, read_segment_list
+
+    listed = SegmentList(out, "segments", [], None)
+    if new.segments is not None:
+        listed = read_segment_list(new.segments, [out.name, new.video.stem])
+    return add_camera_statement(listed, new.still_camera)
+
+
+def _interval_frame_numbers(interval: tuple[int, int]) -> Int[ndarray, "T"]:
+    import numpy as np
+
+    first, last = interval
+    if not 1 <= first < last or last - first >= MAX_CLIP_FRAMES:
+        expected = f"two frames' numbers from 1, the later one last, at most {MAX_CLIP_FRAMES} apart"
+        raise UsageError(f"--interval must be {expected} (got {first} {last})")
+    return np.arange(first, last + 1)
+
+
+def _empty_hand_track(frames: int) -> HandTrack:
+    """Make a hand without vertices, which is not written."""
+    import numpy as np
+
+    from getagrip.clip import HandTrack
+
+    none = np.zeros((frames, 0, 3))
+    return HandTrack(none, np.zeros((0, 3), dtype=int), np.tile(np.eye(4), (frames, 1, 1)), {})
+
+
+def _masks_source(new: NewClip) -> str:
+    """Return the source of masks."""
+    from getagrip.cli.import_files import masks_provenance
+
+    if new.masks is None:
+        return "none yet"
+    return masks_provenance(new.masks, new.object, new.ignore, new.hand, new.mask_images)
+
+
+def _open_clip_masks(new: NewClip, names: tuple[str, ...], size: tuple[int, int]) -> MaskReader:
+    """Open a reader of the masks of the clip's frames."""
+    from getagrip.clip.match_frames import renumber_frames
+    from getagrip.readers.masks.mask_request import MaskRequest
+    from getagrip.readers.masks.mask_sources import open_masks
+
+    assert new.masks is not None
+    if new.mask_first is not None:
+        names = renumber_frames(names, new.mask_first, "--mask-first")
+    ask_first = "--mask-first" if new.mask_first is None else ""
+    labels = new.object, new.ignore, new.hand
+    request = MaskRequest(names, size, *labels, ask_first, not ask_first, new.mask_images, "--mask-images")
+    return open_masks(new.masks, request)
+
+
+def _write_new_clip(
+    clip: Clip,
+    hands: TrackedHands | None,
+    images: Iterator[UInt8[ndarray, "H W 3"]],
+    masks: MaskReader | None,
+    out: Path,
+    overwrite: bool,
+) -> int:
+    """Write the clip, its images and masks one by one, and read it again: a clip that is written is valid.
+
+    Returns in how many frames masks show the object.
+    """
+    from getagrip.cli.import_files import write_reader_masks
+    from getagrip.clip.write import write_clip_contents, write_hand_at
+
+    visible = 0
+    with files.new_folder(out, ("clip.json",) if overwrite else ()) as new:
+        write_clip_contents(new, replace(clip, folder=None), None, images)  # an older clip may be in its folder
+        if masks:
+            visible = write_reader_masks(masks, clip.frames, new / "masks")
+        if hands:
+            write_hand_at(hands.track, clip.frames, hands.found, new / "hand.npz")
+            _check_written_clip(new, masks is not None, out)
+    return visible
+
+
+def _check_written_clip(made: Path, masks: bool, out: Path) -> None:
+    """Read the clip as everybody will. Raises ``InputError``, in the name of the folder that it is to have."""
+    from getagrip.clip import read_clip, read_observed
+
+    try:
+        clip = read_clip(made)
+        if masks:
+            read_observed(clip)
+    except InputError as error:
+        inside = error.path.relative_to(made) if error.path.is_relative_to(made) else error.path
+        raise InputError(out / inside, error.key, error.got, error.expected) from error
+
+
+def _print_new_clip(clip: Clip, new: NewClip, hands: TrackedHands | None, out: Path) -> int:
+    """Print what was made, what is a guess and what is missing; 3 where something is."""
+    from getagrip.clip.intrinsics import camera_warning
+    from getagrip.provenance import is_assumed
+
+    print(f"{out}: {len(clip)} frames")
+    if hands and len(hands.found) < len(clip):
+        bare = len(clip) - len(hands.found)
+        warn(
+            f"no hand in {bare} of {len(clip)} frames, which are left out until they have one; "
+            f"getagrip import hands ... --clip {out} --overwrite"
+        )
+    for key, text in clip.provenance.items():
+        if is_assumed(text):
+            warn(f"{key}: {text}")
+    if warning := camera_warning(clip.K, clip.size):
+        warn(f"camera: {warning}")
+    missing = [key for key, there in (("masks", new.masks), ("hands", new.hands)) if there is None]
+    for key in missing:
+        print(f"missing: {key}: {NEXT_STEP_HINTS[key].format(out=out, video=new.video)}", file=sys.stderr)
+    few_hands = hands is not None and 2 * len(hands.found) < len(clip)
+    return INCOMPLETE_EXIT_STATUS if missing or warning or few_hands else 0

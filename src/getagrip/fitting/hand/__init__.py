@@ -1,0 +1,1 @@
+"""The hand beside the object: its errors, its silhouette and joints, and both bodies solved together."""

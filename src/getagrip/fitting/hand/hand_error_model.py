@@ -1,0 +1,203 @@
+"""How a given hand may be wrong in each frame, in numbers that move it, and where they move its contour.
+
+    corrected T_cam_hand = given T_cam_hand . turn_and_shift(w, s)
+
+w turns the hand about its middle, s shifts it, both in the hand's frame. Its size and the bends of its 15 finger joints
+are off as well. Those only explain the silhouette: without them, wrong fingers would turn the palm, and a hand that is
+too large would come nearer. (One silhouette says nothing about depth unless the hand's size is known.) Where its joints
+were seen, whole fingers are off sideways, too; a silhouette alone hardly tells that from a turn of the palm.
+
+Fit a hand's errors to evidence, under a prior on trackers' errors.
+
+Minimised is, over the errors x_n = b + e_n of each frame (``HandErrors``), b the same in all frames,
+
+    unit * sum_n E_n(x_n) + 1/2 |b / bias|^2 + 1/2 sum_n |e_n / jitter|^2
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip.clip import HandTrack
+from getagrip.geometry import se3
+from getagrip.hands.generic import FINGER_CHAINS, bend_fingers, finger_hinge_axes, finger_spread_axes, finger_weights
+from getagrip.least_squares import BlockArrow
+
+ROTATION_ERRORS, TRANSLATION_ERRORS, SIZE_ERROR, FLEXION_ERRORS, ABDUCTION_ERRORS = (
+    slice(0, 3),
+    slice(3, 6),
+    6,
+    slice(7, 22),
+    slice(22, 27),
+)
+"""Position of each error among the numbers of a frame: [rad], [m], logarithm, [rad], [rad]."""
+N_RIGID_ERRORS = 7
+"""Number of errors without the fingers."""
+
+
+@dataclass(frozen=True)
+class HandErrors:
+    """The input hand in N frames, and how errors x (N, P) change it.
+
+    Attributes:
+        tracked: the hand as it was given.
+        middle: (3,) the point that it turns about, in the hand frame [m].
+        weights: (V, 5, 3) how far vertices go with each bone; None: the fingers keep their bends, and P is ``N_RIGID_ERRORS``.
+        sideways: whether they may turn sideways, too; P is 27, else 22.
+    """
+
+    tracked: HandTrack
+    middle: Float[ndarray, "3"]
+    weights: Float[ndarray, "V 5 3"] | None
+    sideways: bool = False
+
+    @staticmethod
+    def of(hand: HandTrack) -> HandErrors:
+        """Return the rigid errors of a hand."""
+        return HandErrors(hand, hand.vertices.mean(axis=(0, 1)), None)
+
+    def with_fingers(self, sideways: bool = False) -> HandErrors:
+        """Return all the errors that the hand can have; one without joints has rigid ones only."""
+        if self.tracked.joints is None:
+            return self
+        return replace(self, weights=finger_weights(self.tracked), sideways=sideways)
+
+    @property
+    def size(self) -> int:
+        """How many numbers each frame has."""
+        return (
+            N_RIGID_ERRORS if self.weights is None else ABDUCTION_ERRORS.stop if self.sideways else FLEXION_ERRORS.stop
+        )
+
+    def take(self, index: Int[ndarray, "n"]) -> HandErrors:
+        """Return the hand at some of its frames."""
+        return replace(self, tracked=self.tracked.take(index))
+
+    def T_cam_hand(self, x: Float[ndarray, "N P"]) -> Float[ndarray, "N 4 4"]:
+        """Return the poses of the refined hand."""
+        R = se3.exp_so3(x[:, ROTATION_ERRORS])
+        return self.tracked.T_cam_hand @ se3.rigid(R, self.middle + x[:, TRANSLATION_ERRORS] - R @ self.middle)
+
+    def surface(self, x: Float[ndarray, "N P"]) -> tuple[Float[ndarray, "N V 3"], Float[ndarray, "N 21 3"] | None]:
+        """Return vertices and joints in the refined hand's frame, with the size and the bends that fit best."""
+        vertices, joints = self.tracked.vertices, self.tracked.joints
+        if self.weights is not None and joints is not None:
+            vertices, joints = bend_fingers(vertices, joints, self.weights, *_finger_errors(x))
+        size = np.exp(x[:, SIZE_ERROR, None, None])
+        return (
+            self.middle + size * (vertices - self.middle),
+            None if joints is None else self.middle + size * (joints - self.middle),
+        )
+
+    def jacobian(
+        self,
+        x: Float[ndarray, "N P"],
+        vertices: Float[ndarray, "N V 3"],
+        joints: Float[ndarray, "N 21 3"] | None,
+        nearest: Int[ndarray, "N M"],
+        along: Float[ndarray, "N M 3"],
+    ) -> Float[ndarray, "N M P"]:
+        """Differentiate the motion of points of the ``surface`` by the errors.
+
+        ``nearest`` is the vertex that each of M points goes with, ``along`` the direction that counts, in the camera
+        frame.
+        """
+        turn = se3.exp_so3(x[:, ROTATION_ERRORS])
+        in_input = along @ self.tracked.T_cam_hand[:, :3, :3]
+        X = np.take_along_axis(vertices, nearest[..., None], axis=1)
+        arm = (X - self.middle) @ np.swapaxes(turn, 1, 2)
+        J = np.empty((*nearest.shape, x.shape[1]))
+        J[..., ROTATION_ERRORS] = np.cross(arm, in_input) @ se3.left_jacobian(x[:, ROTATION_ERRORS])
+        J[..., TRANSLATION_ERRORS] = in_input
+        J[..., SIZE_ERROR] = np.sum(arm * in_input, axis=-1)
+        if self.weights is None or joints is None or self.tracked.joints is None:
+            return J
+        in_hand = in_input @ turn
+        moment = np.cross(X, in_hand)
+
+        def turned(axis: Float[ndarray, "N 3"], through: Float[ndarray, "N k 3"]) -> Float[ndarray, "N M k"]:
+            # Turning X about the axis a through p moves it by a x (X - p), along n by a . (X x n) - (a x p) . n.
+            offset = in_hand @ np.swapaxes(np.cross(axis[:, None], through), 1, 2)
+            return np.asarray(moment @ axis[..., None] - offset)
+
+        # Hinges of a finger are parallel, so bends do not turn them; turning it sideways, which comes last, does.
+        aside = finger_spread_axes(self.tracked.joints)
+        axes, sideways = finger_hinge_axes(self.tracked.joints), _finger_errors(x)[1]
+        if sideways is not None:
+            axes = (se3.exp_so3(sideways[..., None] * aside) @ axes[..., None])[..., 0]
+        beyond = np.cumsum(self.weights[..., ::-1], axis=-1)[..., ::-1][nearest]  # what moves with a joint
+        for f, chain in enumerate(FINGER_CHAINS):
+            first = FLEXION_ERRORS.start + 3 * f
+            J[..., first : first + 3] = beyond[..., f, :] * turned(axes[:, f], joints[:, chain[:3]])
+            if sideways is not None:
+                J[..., ABDUCTION_ERRORS.start + f] = (
+                    beyond[..., f, 0] * turned(aside[:, f], joints[:, chain[:1]])[..., 0]
+                )
+        return J
+
+
+def _finger_errors(x: Float[ndarray, "N P"]) -> tuple[Float[ndarray, "N 5 3"], Float[ndarray, "N 5"] | None]:
+    """Return bends, and turns sideways where these are among the errors."""
+    return x[:, FLEXION_ERRORS].reshape(-1, 5, 3), x[:, ABDUCTION_ERRORS] if x.shape[1] > FLEXION_ERRORS.stop else None
+
+
+OnErrors = Callable[[Float[ndarray, "N P"]], tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]]
+"""From the errors of each frame to the evidence's value, gradient and Gauss-Newton Hessian."""
+
+
+@dataclass(frozen=True)
+class AssumedErrors:
+    """Standard deviations that are assumed of b and of e_n, and the weight of a unit of evidence."""
+
+    bias: Float[ndarray, "Q"]
+    jitter: Float[ndarray, "Q"]
+    unit: float = 1.0
+
+
+@dataclass(frozen=True)
+class HandFit:
+    """Errors, and all that is known about them (``least_squares.State``, of one problem)."""
+
+    seen: OnErrors
+    assumed: AssumedErrors
+    shared: Float[ndarray, "P"]
+    own: Float[ndarray, "N P"]
+    value: Float[ndarray, "N"] = field(repr=False)
+    g: Float[ndarray, "N P"] = field(repr=False)
+    H: Float[ndarray, "N P P"] = field(repr=False)
+
+    @staticmethod
+    def of(
+        seen: OnErrors, assumed: AssumedErrors, own: Float[ndarray, "N P"], shared: Float[ndarray, "P"] | None = None
+    ) -> HandFit:
+        """Evaluate the cost at some errors."""
+        shared = np.zeros(own.shape[1]) if shared is None else shared
+        return HandFit(seen, assumed, shared, own, *seen(shared + own))
+
+    @property
+    def errors(self) -> Float[ndarray, "N P"]:
+        """Errors of each frame."""
+        return self.shared + self.own
+
+    @property
+    def cost(self) -> Float[ndarray, "1"]:
+        P = len(self.shared)
+        prior = np.sum((self.shared / self.assumed.bias[:P]) ** 2) + np.sum((self.own / self.assumed.jitter[:P]) ** 2)
+        return np.array([self.assumed.unit * float(self.value.sum()) + 0.5 * prior])
+
+    def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> HandFit:
+        P, unit = len(self.shared), self.assumed.unit
+        bias, jitter = self.assumed.bias[:P] ** -2.0, self.assumed.jitter[:P] ** -2.0
+        arrow = BlockArrow.of(unit * self.H[None], self.g[None], slice(P), slice(P))
+        arrow = replace(arrow, g_s=unit * arrow.g_s, g_l=unit * arrow.g_l)
+        arrow = arrow.plus(np.diag(bias), bias * self.shared, np.diag(jitter), jitter * self.own)
+        shared, own = arrow.step(damping)
+        return HandFit.of(self.seen, self.assumed, self.own + own[0], self.shared + shared[0])
+
+    def accept(self, trial: HandFit, active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> HandFit:
+        return trial if better.all() else self

@@ -1,0 +1,274 @@
+"""The hand's 2D joints against its skeleton, with the errors that detectors have of them.
+
+A joint's error in the image is the sum of four, in shares of the hand's box: a shift of all joints of a frame, an error
+of the joint that lasts through the clip, one of its own in each frame, and now and then a large one. With r the
+distance of joint j in frame n from where it was seen, the cost of a frame [nats] is
+
+    min_d  1/2 |d|^2 / t^2 + sum_j c_j (k + 2)/2 log(1 + |r_j - d|^2 / (k s_j^2)),    s^2 = own^2 + N lasting^2
+
+(Student's t, which large errors hardly move). What lasts counts in each of N frames as N of them tell it together:
+once. ``own`` and ``lasting`` are estimated from the clip, t is a share of ``own``. Joints in the object's mask are
+hidden.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip import least_squares
+from getagrip.clip import Clip, HandTrack, Masks
+from getagrip.fitting.hand.hand_error_model import AssumedErrors, HandErrors, HandFit
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
+from getagrip.hands.generic import BONE_OF_JOINT
+from getagrip.provenance import is_assumed, kind_of_hands
+
+JOINT_STUDENT_T_DOF = 4.0
+"""Degrees of freedom of Student's t."""
+HIDDEN_JOINT_FACTOR = 2.5
+"""How many times as far a joint is off that the object hides."""
+COMMON_SHIFT_RATIO = 0.85
+"""Shift of all joints of a frame, in ``own``: as measured, if half of the rest is a frame's own
+(``results/landmark-errors.json``)."""
+INITIAL_JOINT_ERROR, MIN_JOINT_ERROR = 0.03, 0.004
+"""Error before it is estimated, and the least that is believed [shares of the hand's box]."""
+MASK_MARGIN_FRACTION, MAX_OUTSIDE_MASK_FRACTION = 0.08, 0.3
+"""A joint farther from the masks than this share of the joints' box is elsewhere; joints more of which are elsewhere
+are not this hand's."""
+MAX_LASTING_ERROR, MAX_MISPLACED_ERROR = 0.1, 0.18
+"""Joints whose lasting errors are larger are another hand's, too. Where two joints are farther off than the second
+through all of a clip, their order is another: right ones are at most 0.16 on training clips; with two fingers exchanged
+half are above it, and the others do no harm (docs/trials.md)."""
+MAX_JOINT_COORDINATE_PX = 1e6
+"""Coordinates from which on a joint counts as not seen [px]."""
+N_ERROR_ITERATIONS, ERROR_FIT_STEPS = 2, 12
+MAX_SHIFT_ITERATIONS, SHIFT_TOLERANCE = 40, 1e-4
+"""Most iterations for d, and the step that ends them [deviations]."""
+ASSUMED_HAND_ERRORS = AssumedErrors(
+    np.repeat([0.16, 0.015, 0.06, 0.2], [3, 3, 1, 20]), np.repeat([0.08, 0.006, 0.003, 0.1], [3, 3, 1, 20])
+)
+"""Errors of the hand while those of the joints are estimated; wide, so that they are not taken for the joints'."""
+
+
+@dataclass(frozen=True)
+class SeenJoints:
+    """A hand and its joints as seen, in N frames.
+
+    Attributes:
+        errors: the hand, which has joints.
+        K: (N, 3, 3) intrinsics [px].
+        points: (N, 21, 2) where the joints were seen [px].
+        confidence: (N, 21) how much each counts, 0 to 1.
+        box: (N, 21) size of the hand's box [px]; of a hidden joint ``HIDDEN_JOINT_FACTOR`` times that.
+        own, lasting: standard deviations [shares of the box].
+        misplaced: how far all joints but one are off through all frames, at most [shares of the box].
+    """
+
+    errors: HandErrors
+    K: Float[ndarray, "N 3 3"]
+    points: Float[ndarray, "N 21 2"]
+    confidence: Float[ndarray, "N 21"]
+    box: Float[ndarray, "N 21"]
+    own: float = INITIAL_JOINT_ERROR
+    lasting: float = INITIAL_JOINT_ERROR
+    misplaced: float = 0.0
+
+    @staticmethod
+    def of(clip: Clip, masks: Masks | None) -> SeenJoints | None:
+        """Return the joints of a clip, their errors estimated; None where it has none, or they are not its hand's.
+
+        ``masks``: in the same frames; None: no joint is taken to be hidden.
+        """
+        hand = clip.hand
+        if hand.joints is None or hand.joints_2d is None or hand.joints_2d_confidence is None:
+            return None
+        there = (np.abs(hand.joints_2d) < MAX_JOINT_COORDINATE_PX).all(axis=-1)  # not of NaN
+        confidence, points = (
+            np.where(there, hand.joints_2d_confidence, 0.0),
+            np.where(there[..., None], hand.joints_2d, 0.0),
+        )
+        if np.count_nonzero(confidence.any(axis=1)) < 2:
+            return None
+        if masks is not None and outside_mask_fraction(clip, masks) > MAX_OUTSIDE_MASK_FRACTION:
+            return None
+        lifted = is_assumed(clip.provenance.get("hands_scale"))  # from these joints, with which it agrees
+        loose = kind_of_hands(clip.provenance) == "estimated" and not lifted
+        box = np.ptp(_project_joints(clip.K, _joints_in_camera(hand)), axis=1).max(axis=-1)
+        hidden = np.zeros(confidence.shape, dtype=bool) if masks is None else _inside_object_masks(masks, points)
+        seen = SeenJoints(
+            HandErrors.of(hand).with_fingers(sideways=loose), clip.K, points, confidence,
+            box[:, None] * np.where(hidden, HIDDEN_JOINT_FACTOR, 1.0),
+        )  # fmt: skip
+        if not np.isfinite(seen.cost_and_pull(_joints_in_camera(hand))[0]).all():
+            return None
+        seen = seen.with_sizes_estimated()
+        return seen if seen.lasting < MAX_LASTING_ERROR and seen.misplaced < MAX_MISPLACED_ERROR else None
+
+    def take(self, index: Int[ndarray, "n"]) -> SeenJoints:
+        """Return the joints at some of the frames."""
+        return replace(
+            self, errors=self.errors.take(index), K=self.K[index], points=self.points[index],
+            confidence=self.confidence[index], box=self.box[index],
+        )  # fmt: skip
+
+    @property
+    def loose(self) -> bool:
+        """True of the joints of an estimate that was not lifted from them: its size and fingers may be far off."""
+        return self.errors.sideways
+
+    @property
+    def rigid(self) -> SeenJoints:
+        """Joints of a hand whose fingers keep their bends."""
+        return replace(self, errors=replace(self.errors, weights=None))
+
+    @property
+    def size(self) -> float:
+        """Standard deviation of a joint in a frame, the whole of it [shares of the hand's box]."""
+        return float(np.sqrt((1.0 + COMMON_SHIFT_RATIO**2) * self.own**2 + self.lasting**2))
+
+    def with_sizes_estimated(self) -> SeenJoints:
+        """Estimate ``own`` and ``lasting``: fit the hand, and see what stays.
+
+        Differences of consecutive frames tell the first, the median of each joint over all frames the second.
+        What a fit of p of m numbers leaves is smaller than the errors, by sqrt(1 - p / m).
+        """
+        seen, start = self, np.zeros((len(self.K), self.errors.size))
+        for _ in range(N_ERROR_ITERATIONS):
+            found = least_squares.minimise(HandFit.of(seen, ASSUMED_HAND_ERRORS, start), ERROR_FIT_STEPS).state
+            left = (seen.points - _project_joints(seen.K, seen.in_camera(found.errors))) / seen.box[..., None]
+            counts = seen.confidence > 0.0
+            m = 2.0 * np.count_nonzero(counts) / len(counts)
+            free_own = np.trace(_evidence_share(found.H, ASSUMED_HAND_ERRORS.jitter), axis1=1, axis2=2).mean() / m
+            free_shared = np.trace(_evidence_share(found.H.sum(axis=0), ASSUMED_HAND_ERRORS.bias)) / m
+            both = counts[1:] & counts[:-1]
+            own = _robust_deviation((left[1:] - left[:-1])[both]) / np.sqrt(2.0 * max(1.0 - free_own, 0.2))
+            each = np.nanmedian(np.where(counts[..., None], left, np.nan)[:, counts.any(axis=0)], axis=0)
+            lasting = _robust_deviation(each) / np.sqrt(max(1.0 - free_shared, 0.2))
+            of_median = 0.5 * np.pi * own**2 / len(counts)
+            lasting = float(np.sqrt(max(lasting**2 - of_median, 0.0)))
+            misplaced = float(np.sort(np.linalg.norm(each, axis=-1))[-2:][0])
+            seen = replace(
+                seen, own=max(own, MIN_JOINT_ERROR), lasting=max(lasting, MIN_JOINT_ERROR), misplaced=misplaced
+            )
+        return seen
+
+    def in_camera(self, x: Float[ndarray, "N P"]) -> Float[ndarray, "N 21 3"]:
+        """Return the skeleton in the camera frame, by the hand's errors."""
+        joints = self.errors.surface(x)[1]
+        assert joints is not None
+        return np.asarray(se3.transform(self.errors.T_cam_hand(x), joints))
+
+    def __call__(
+        self, x: Float[ndarray, "N P"]
+    ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
+        """Cost of each frame [nats], gradient and Gauss-Newton Hessian by the hand's errors."""
+        joints = self.errors.surface(x)[1]
+        assert joints is not None
+        X = se3.transform(self.errors.T_cam_hand(x), joints)
+        along = projection_jacobian(self.K, X).reshape(len(X), 42, 3)
+        errors = self.errors if self.errors.weights is None else replace(self.errors, weights=BONE_OF_JOINT)
+        which = np.broadcast_to(np.repeat(np.arange(21), 2), along.shape[:2])
+        return self.quadratic(X, errors.jacobian(x, joints, joints, which, along))
+
+    def quadratic(
+        self, X: Float[ndarray, "N 21 3"], J: Float[ndarray, "N 42 P"]
+    ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
+        """Return cost, gradient and Gauss-Newton Hessian of joints in the camera, by P numbers that move them by J."""
+        value, error, weight, shift = self.cost_and_pull(X)
+        flat = np.repeat(weight, 2, axis=1)
+        WJ = flat[..., None] * J
+        JW = np.swapaxes(WJ, 1, 2)
+        g = (JW @ error.reshape(len(X), 42, 1))[..., 0]
+        # The shift follows: what it takes up tells nothing (Schur complement).
+        taken = WJ.reshape(len(X), 21, 2, -1).sum(axis=1)
+        H = JW @ J - np.swapaxes(taken, 1, 2) @ (taken / (weight.sum(axis=1) + shift**-2.0)[:, None, None])
+        return value, g, H
+
+    def cost_and_pull(
+        self, X: Float[ndarray, "N 21 3"]
+    ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N 21 2"], Float[ndarray, "N 21"], Float[ndarray, "N"]]:
+        """Return cost, error [px], weight of the squared error [1/px^2], and deviation of a frame's shift [px]."""
+        s2 = self.box**2 * (self.own**2 + len(self.K) * self.lasting**2)
+        t = self.box.min(axis=1) * COMMON_SHIFT_RATIO * self.own
+        off = _project_joints(self.K, X) - self.points
+        d, w = np.zeros((len(X), 2)), self.confidence / s2
+        for _ in range(MAX_SHIFT_ITERATIONS):
+            d, before = (w[..., None] * off).sum(axis=1) / (w.sum(axis=1) + t**-2.0)[:, None], d
+            q = np.sum((off - d[:, None]) ** 2, axis=-1) / s2
+            w = self.confidence * (JOINT_STUDENT_T_DOF + 2.0) / (JOINT_STUDENT_T_DOF + q) / s2
+            if np.all(np.abs(d - before) < SHIFT_TOLERANCE * t[:, None]):
+                break
+        value = 0.5 * np.sum(d**2, axis=1) / t**2
+        value = value + 0.5 * (JOINT_STUDENT_T_DOF + 2.0) * np.sum(
+            self.confidence * np.log1p(q / JOINT_STUDENT_T_DOF), axis=1
+        )
+        return np.where((X[..., 2] > 0.0).all(axis=1), value, np.inf), off - d[:, None], w, t
+
+
+def outside_mask_fraction(clip: Clip, masks: Masks) -> float:
+    """Measure the share of joints seen in the image that are neither on the hand nor on the object, by the masks.
+
+    NaN where there are no joints, or no masks that show the hand.
+    """
+    hand, hands = clip.hand, masks.ignore if masks.hand is None else masks.hand
+    if hand.joints_2d is None or hand.joints_2d_confidence is None:
+        return float("nan")
+    elsewhere, height, width = [], *masks.object.shape[1:]
+    for seen, confidence, shown, held in zip(
+        hand.joints_2d, hand.joints_2d_confidence, hands, masks.object, strict=True
+    ):
+        inside = np.all((seen >= 0.0) & (seen < [width, height]), axis=1)  # not of NaN
+        points = seen[(confidence > 0.0) & inside]
+        if not shown.any() or not len(points):
+            continue
+        beside = MASK_MARGIN_FRACTION * np.ptp(points, axis=0).max()
+        margin, pixels = int(beside) + 2, points.astype(int)
+        first, last = np.maximum(pixels.min(axis=0) - margin, 0), pixels.max(axis=0) + margin + 1  # what can be near
+        window = slice(first[1], last[1]), slice(first[0], last[0])
+        far = cv2.distanceTransform((~(shown[window] | held[window])).astype(np.uint8), cv2.DIST_L2, 3)
+        u, v = (pixels - first).T
+        elsewhere += list(far[v, u] > beside)
+    return float(np.mean(elsewhere)) if elsewhere else float("nan")
+
+
+def projection_jacobian(K: Float[ndarray, "N 3 3"], X: Float[ndarray, "N 21 3"]) -> Float[ndarray, "N 21 2 3"]:
+    """Differentiate the projection of points by their place in the camera frame [px/m]."""
+    z = np.maximum(X[..., 2:, None], 1e-6)
+    K = K[:, None, :2]
+    return np.asarray((K - (K @ X[..., None]) / z * np.array([0.0, 0.0, 1.0])) / z)
+
+
+def _project_joints(K: Float[ndarray, "N 3 3"], X: Float[ndarray, "N 21 3"]) -> Float[ndarray, "N 21 2"]:
+    """Project points that may be behind the camera, where their cost is infinite."""
+    return np.asarray(project(K, np.concatenate([X[..., :2], np.maximum(X[..., 2:], 1e-6)], axis=-1)))
+
+
+def _joints_in_camera(hand: HandTrack) -> Float[ndarray, "N 21 3"]:
+    assert hand.joints is not None
+    return np.asarray(se3.transform(hand.T_cam_hand, hand.joints))
+
+
+def _inside_object_masks(masks: Masks, points: Float[ndarray, "N 21 2"]) -> Bool[ndarray, "N 21"]:
+    """Tell which points lie in the object's masks."""
+    height, width = masks.object.shape[1:]
+    u, v = np.clip(points, 0.0, [width - 1, height - 1]).astype(int).transpose(2, 0, 1)
+    return np.stack([mask[y, x] for mask, x, y in zip(masks.object, u, v, strict=True)])
+
+
+def _evidence_share(H: Float[ndarray, "*n P P"], deviation: Float[ndarray, "Q"]) -> Float[ndarray, "*n P P"]:
+    """Share of each number that the evidence decides, and not the prior."""
+    return np.asarray(np.linalg.solve(H + np.diag(deviation[: H.shape[-1]] ** -2.0), H))
+
+
+def _robust_deviation(error: Float[ndarray, "n 2"]) -> float:
+    """Estimate the standard deviation along each axis, by the median."""
+    return (
+        float(np.median(np.linalg.norm(error, axis=1)) / np.sqrt(2.0 * np.log(2.0)))
+        if len(error)
+        else INITIAL_JOINT_ERROR
+    )

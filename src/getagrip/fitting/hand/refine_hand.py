@@ -1,0 +1,380 @@
+"""Hand refinement: align the hand's poses to its silhouette, under a prior on trackers' errors.
+
+Minimised is, over the errors x_n = b + e_n of each frame (``HandErrors``), b the same in all frames,
+
+    PIXEL * sum_n E_n(x_n) + 1/2 |b / bias|^2 + 1/2 sum_n |e_n / jitter|^2
+
+with E_n the pixels in which the hand's silhouette differs from its mask (``HandSilhouette``). E counts area, so that a
+finger that is elsewhere weighs by its length and not by its square.
+
+Detect and repair tracker glitches: flips, dropouts, identity swaps.
+
+In each frame the hand may be as given, or flipped: by half a turn about one of its axes. Kept are those frames, each
+with one of these four hands, for which the least is
+
+    sum_(i, j) d(i, j) + price * (number of frames left out) + FLIP * price * (number of flips),
+
+over neighbours i < j among them, with d(i, j) how far the hand's surface moves from i to j (root mean square). So a
+frame is left out where the detour by it is longer than the price, and k in a row where it is longer than k prices; one
+in which the hand is on its path but for a flip costs less. In the frames left out the hand is put between its
+neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip import least_squares
+from getagrip.checks.evidence import Glitches
+from getagrip.clip import Clip, HandTrack, Masks
+from getagrip.clip.clip import frame_indices
+from getagrip.fitting.hand.hand_error_model import (
+    N_RIGID_ERRORS,
+    ROTATION_ERRORS,
+    SIZE_ERROR,
+    AssumedErrors,
+    HandErrors,
+    HandFit,
+)
+from getagrip.fitting.hand.hand_silhouette import HandSilhouette
+from getagrip.fitting.hand.joint_reprojection import SeenJoints
+from getagrip.fitting.motion import PosesInHand, interpolate_object_poses
+from getagrip.fitting.options import Options
+from getagrip.geometry import se3
+from getagrip.provenance import HandsKind, kind_of_hands
+
+MIN_FRAME_PRICE_M = 0.04
+"""Lowest price of a frame [m]. On DexYCB's training subjects no true hand makes a detour of more than 5 mm."""
+FRAME_PRICE_FACTOR = 4.0
+"""The price where hands are fast, in the step from frame to frame that two thirds of the steps exceed."""
+END_PRICE_FACTOR, MAX_END_FRAMES = 2.0, 3
+"""Price at an end, in the steps that follow; number of these that count, and most frames left out there."""
+FLIP_PRICE_FRACTION = 0.25
+"""Price of a flip, in that of a frame."""
+FLIP_ROTATIONS = se3.exp_so3(np.pi * np.eye(4)[:, 1:])
+"""The hand as given, and by half a turn about each of its axes."""
+MAX_GLITCH_GAP_FRAMES = 30
+"""Most frames from one that is kept to the next."""
+N_GLITCH_POINTS = 16
+"""Points of the surface that stand for the hand."""
+
+
+def repair_hand(clip: Clip, options: Options) -> tuple[Clip, Glitches | None]:
+    """Flip the hand back, or interpolate it, in frames with tracker glitches; also return those frames.
+
+    The clip stays unchanged, without such frames (None), where the options say that hands are as given.
+    Rotations are interpolated along the shortest path, the hand's middle along a line; before the first frame that is
+    kept and after the last, the hand is as there. Vertices stay as given.
+    """
+    if options.hands == "as-given" or options.as_published:
+        return clip, None
+    kept, flip = frames_without_glitch(clip.hand)
+    moved = np.setdiff1d(np.arange(len(clip)), kept[flip == 0])
+    if not len(moved) or len(kept) < 2:
+        return clip, Glitches((), len(clip))
+    T, middle = clip.hand.T_cam_hand.copy(), clip.hand.vertices.mean(axis=(0, 1))
+    T[kept[flip > 0]] = (T[kept] @ _flips_about_middle(middle)[flip])[flip > 0]
+    left_out = np.setdiff1d(moved, kept)
+    known = PosesInHand(T[None, kept, :3, :3], se3.transform(T[kept], middle[None])[None, :, 0], np.ones(1))
+    between = interpolate_object_poses(known, kept, left_out)
+    T[left_out] = se3.rigid(between.R[0], between.centre[0] - between.R[0] @ middle)
+    return clip.with_hand_at(T), Glitches(tuple(clip.frames[n] for n in moved), len(clip))
+
+
+def frames_without_glitch(hand: HandTrack) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+    """Return the frames without a glitch, but for a flip, and which of ``FLIP_ROTATIONS`` puts the hand on its path there."""
+    steps = surface_steps(hand)
+    if not steps:
+        return np.arange(len(hand.T_cam_hand)), np.zeros(len(hand.T_cam_hand), int)
+    given = steps[0][:, 0, 0]
+    shortest = np.minimum(steps[0][:, 0].min(axis=1), steps[0][:, :, 0].min(axis=1))
+    price = max(MIN_FRAME_PRICE_M, FRAME_PRICE_FACTOR * float(np.quantile(shortest, 1 / 3)))
+    N, flips = len(given) + 1, FLIP_PRICE_FRACTION * price * np.minimum(np.arange(len(FLIP_ROTATIONS)), 1)
+    # Of the best choice that ends with a frame, and a flip there: at first, with it alone.
+    cost = leading_frames_cost(given, price)[:, None] + flips
+    before = np.full((N, len(FLIP_ROTATIONS), 2), -1)
+    for n in range(1, N):
+        gaps = np.arange(min(n, len(steps)))
+        costs = (cost[n - 1 - gaps] + price * gaps[:, None])[:, :, None] + [steps[gap][n - 1 - gap] for gap in gaps]
+        for k, through in enumerate(np.moveaxis(costs, 2, 0)):
+            gap, flip = np.unravel_index(np.argmin(through), through.shape)
+            if through[gap, flip] + flips[k] < cost[n, k]:
+                cost[n, k], before[n, k] = through[gap, flip] + flips[k], (n - 1 - gap, flip)
+    at_end = cost + leading_frames_cost(given[::-1], price)[::-1, None]
+    kept = [np.array(np.unravel_index(np.argmin(at_end), at_end.shape))]
+    while before[*kept[-1]][0] >= 0:
+        kept.append(before[*kept[-1]])
+    frames, flip = np.array(kept[::-1]).T
+    return frames, flip
+
+
+def leading_frames_cost(steps: Float[ndarray, "n"], price: float) -> Float[ndarray, "n+1"]:
+    """Compute the cost of leaving out all frames before each one.
+
+    There is no detour at an end, and a hand that comes in fast is to keep the frames in which it does. So few can be
+    left out, and each costs at least ``END_PRICE_FACTOR`` times the steps that follow.
+    """
+    cost = np.full(len(steps) + 1, np.inf)
+    for n in range(min(MAX_END_FRAMES + 1, len(steps))):
+        cost[n] = n * max(price, END_PRICE_FACTOR * float(np.median(steps[n : n + MAX_END_FRAMES])))
+    return cost
+
+
+def surface_steps(hand: HandTrack) -> list[Float[ndarray, "_ 4 4"]]:
+    """Compute how far the hand's surface moves [m] from each frame to the next, to the next but one, and so on.
+
+    Each array is (frame, flip in it, flip in the later frame), flips by their index in ``FLIP_ROTATIONS``.
+    """
+    template = hand.vertices.mean(axis=0)
+    some = template[frame_indices(len(template), N_GLITCH_POINTS)]
+    posed = se3.transform(hand.T_cam_hand[:, None] @ _flips_about_middle(template.mean(axis=0)), some)
+    X = posed.reshape(len(posed), len(FLIP_ROTATIONS), -1) / np.sqrt(len(some))
+    squares = np.square(X).sum(axis=-1)
+
+    def steps(gap: int) -> Float[ndarray, "_ 4 4"]:
+        between = squares[:-gap, :, None] + squares[gap:, None] - 2.0 * X[:-gap] @ np.swapaxes(X[gap:], 1, 2)
+        return np.sqrt(np.maximum(between, 0.0))
+
+    return [steps(gap) for gap in range(1, min(MAX_GLITCH_GAP_FRAMES, len(X) - 1) + 1)]
+
+
+def _flips_about_middle(middle: Float[ndarray, "3"]) -> Float[ndarray, "4 4 4"]:
+    """Return ``FLIP_ROTATIONS`` about the hand's middle."""
+    return se3.rigid(FLIP_ROTATIONS, middle - FLIP_ROTATIONS @ middle)
+
+
+HAND_PIXEL_WEIGHT = 0.03
+"""Weight of a pixel against the prior: thirty of them, side by side along a contour, are as much as one fact."""
+_ERROR_GROUP_SIZES = [3, 3, 1, 20]
+_ASSUMED_ERRORS: Mapping[HandsKind, AssumedErrors] = {
+    "measured": AssumedErrors(
+        np.repeat([0.08, 0.008, 0.01, 0.2], _ERROR_GROUP_SIZES),
+        np.repeat([0.03, 0.003, 0.003, 0.1], _ERROR_GROUP_SIZES),
+        HAND_PIXEL_WEIGHT,
+    ),
+    "estimated": AssumedErrors(
+        np.repeat([0.14, 0.008, 0.01, 0.2], _ERROR_GROUP_SIZES),
+        np.repeat([0.08, 0.006, 0.003, 0.1], _ERROR_GROUP_SIZES),
+        HAND_PIXEL_WEIGHT,
+    ),
+}
+"""Assumed standard deviations of the errors that all frames share, and of each frame's own, which are taken as
+independent: turn about each axis [rad], shift along each [m], logarithm of the size, bend of each finger joint, turn of
+each finger sideways, beside joints of an estimate [rad].
+Those of estimates from images are measured (docs/datasets.md), but for the size, without which nothing tells the
+distance."""
+SIZE_SIGMA_WITH_JOINTS = 0.05
+"""Standard deviation of the size of an estimated hand whose joints are seen; chosen on real ones (docs/trials.md)."""
+MIN_CORRECTED_FRACTION = 0.01
+"""Share of the hand's visible pixels that a refinement must correct; less is noise of masks."""
+MIN_JOINT_CORRECTION = 0.01, 0.002
+"""Turn [rad] and shift [m] that joints must ask for where pixels ask for none; hands that were lifted from the same
+joints agree with them."""
+MAX_DIFFERING_FRACTION, MAX_DIFFERING_WITH_JOINTS = 0.25, 0.4
+"""Share of them that may still differ afterwards; otherwise the mask is another hand's. Beside joints from which the
+fingers are known it is that of the finding ``hand-off-pixels``."""
+SUSPECT_JOINTS_FRACTION, JOINTS_CONTRADICTION_FRACTION = 0.12, 0.05
+"""Joints with which more than the first share of the pixels differ are left out, if without them fewer do, by the
+second: they are another hand's, or another camera's."""
+MAX_MEASURED_TURN_RAD, MAX_REMAINING_FRACTION = np.radians(4.5), 0.5
+"""A hand that its evidence turns farther, and of whose differing pixels less than this share then still differ, is an
+estimate, whatever its source says. On training clips hands of 10 mm and 8 degrees are turned by 4.9 or more,
+``moderate`` ones by up to 4.3, and ``strong`` ones leave 36 % at most. Masks that are off by 4 px turn exact hands by
+up to 6.2 degrees, but then leave 80 %."""
+REFINEMENT_ITERATIONS = 10, 8, 3
+"""Iterations: without bends; with them, at some of the frames; at all of them."""
+N_FLEXION_FRAMES = 10
+"""Frames of the second of these."""
+
+
+@dataclass(frozen=True)
+class HandRefinement:
+    """A hand that its pixels have corrected.
+
+    Attributes:
+        T_cam_hand: (N, 4, 4) its poses.
+        turned: mean angle to the input poses [rad].
+        moved: mean distance of the hand's middle from where it was given [m].
+        before, after: share of the hand's seen pixels that differed from its silhouette, and that still do.
+        grown: by how much its masks were grown before, since they are too small all round [px of a crop of 128].
+        seen: the hand as it was given, its pixels, and how errors move it.
+        shared: (P,) the errors that all frames share (``HandErrors``).
+        own: (N, P) those of each frame.
+        joints: its joints as they were seen; None where they are not known.
+        kind: the kind whose errors it was refined by; a hand given as measured may be found to be an estimate.
+    """
+
+    T_cam_hand: Float[ndarray, "N 4 4"]
+    turned: float
+    moved: float
+    before: float
+    after: float
+    grown: float
+    seen: HandSilhouette = field(repr=False)
+    shared: Float[ndarray, "P"] = field(repr=False)
+    own: Float[ndarray, "N P"] = field(repr=False)
+    joints: SeenJoints | None = field(repr=False)
+    kind: HandsKind
+
+    def take(self, index: Int[ndarray, "n"]) -> HandRefinement:
+        """Return the refinement at some of its frames."""
+        return replace(
+            self, T_cam_hand=self.T_cam_hand[index], seen=self.seen.take(index), own=self.own[index],
+            joints=self.joints and self.joints.take(index),
+        )  # fmt: skip
+
+    @property
+    def bent(self) -> HandErrors:
+        """The hand where it was given, its fingers bent as its evidence says, and its rigid errors."""
+        errors, x = self.seen.errors, self.shared + self.own
+        return replace(errors, tracked=_apply_finger_errors(errors, x), weights=None)
+
+    def with_fingers(self, hand: HandTrack, at: Int[ndarray, "N"]) -> HandTrack:
+        """Return a hand with its fingers bent as found; this refinement has its frames ``at``.
+
+        Between them bends are interpolated. Fingers stay as given where no joints were seen from which they are known.
+        """
+        if self.joints is None or not self.joints.loose:
+            return hand
+        found, every = self.shared + self.own, np.arange(len(hand.T_cam_hand))
+        x = np.stack([np.interp(every, at, one) for one in found.T], axis=1)
+        return _apply_finger_errors(replace(self.seen.errors, tracked=hand), x)
+
+    def __str__(self) -> str:
+        pixels = f"{100 * self.before:.0f} % of its pixels differed, {100 * self.after:.0f} % still do"
+        grown = f" (grown by {self.grown:.1f} px: its masks are too small on all sides)" if self.grown else ""
+        by = " and ".join(["pixels"] * (not np.isnan(self.before)) + ["joints"] * (self.joints is not None))
+        return (
+            f"the hand was refined against its own {by}{grown}: turned by {np.degrees(self.turned):.1f} degrees and "
+            f"moved by {1e3 * self.moved:.1f} mm on average" + ("" if np.isnan(self.before) else f"; {pixels}")
+        )
+
+
+def _apply_finger_errors(errors: HandErrors, x: Float[ndarray, "N P"]) -> HandTrack:
+    """Return a hand with the bends of its errors, and nothing else of them."""
+    vertices, joints = errors.surface(np.where(np.arange(x.shape[1]) < N_RIGID_ERRORS, 0.0, x))
+    return replace(errors.tracked, vertices=vertices, joints=joints)
+
+
+def assumed_errors(kind: HandsKind, joints: SeenJoints | None) -> AssumedErrors:
+    """Return the assumed errors of hands of a kind, whose joints are seen or not."""
+    assumed = _ASSUMED_ERRORS[kind]
+    if joints is None or not joints.loose:
+        return assumed
+    bias = assumed.bias.copy()
+    bias[SIZE_ERROR] = SIZE_SIGMA_WITH_JOINTS
+    return replace(assumed, bias=bias)
+
+
+def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[HandRefinement | None, float]:
+    """Refine a clip's hand by silhouette and 2D joints; also return the share of its visible pixels that still differ.
+
+    There is no correction where neither is known (without pixels the share is NaN), where its pixels ask for none, and
+    where it cannot be made to agree with them: then they are not this hand's, or it is too far off. Pixels of the hand
+    are those of ``masks.hand``, else the ignored ones near the input hand. Where masks leave gaps (``mask_gaps``) the
+    hand's may be too small all round, and are grown first.
+    """
+    seen, joints = HandSilhouette.of(clip, masks), SeenJoints.of(clip, masks)
+    if seen.mask.pixels == 0 and joints is None:
+        return None, float("nan")
+    unrefined = np.zeros((len(clip), N_RIGID_ERRORS))
+    before = seen.share(unrefined)
+    if np.isinf(before):  # it goes behind the camera, and has no silhouette
+        return None, 1.0
+    if have_gaps and seen.mask.pixels:
+        seen = seen.with_masks_grown(unrefined)
+        before = seen.share(unrefined)
+    if before < MIN_CORRECTED_FRACTION:
+        return None, before
+    seen, kind = seen.with_field, kind_of_hands(clip.provenance)
+    fitted = _FittedHandErrors.to(seen, joints, kind)
+    turned_far = np.linalg.norm(fitted.found.errors[:, ROTATION_ERRORS], axis=1).mean() > MAX_MEASURED_TURN_RAD
+    if kind == "measured" and turned_far and not fitted.after > MAX_REMAINING_FRACTION * before:
+        fitted = _FittedHandErrors.to(seen, joints, "estimated")
+    if joints is not None and fitted.after > SUSPECT_JOINTS_FRACTION:
+        by_pixels = _FittedHandErrors.to(seen, None, fitted.kind)
+        if fitted.after - by_pixels.after > JOINTS_CONTRADICTION_FRACTION:
+            fitted = by_pixels
+    found, joints, after = fitted.found, fitted.joints, fitted.after
+    agree = MAX_DIFFERING_WITH_JOINTS if joints is not None and joints.loose else MAX_DIFFERING_FRACTION
+    if after > agree or (before - after < MIN_CORRECTED_FRACTION and joints is None):
+        return None, before
+    T, T_input, middle = seen.errors.T_cam_hand(found.errors), clip.hand.T_cam_hand, seen.errors.middle[None]
+    turned = se3.angle_between(T[:, :3, :3], T_input[:, :3, :3])
+    moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_input, middle), axis=-1)
+    if (
+        not before - after >= MIN_CORRECTED_FRACTION
+        and turned.mean() < MIN_JOINT_CORRECTION[0]
+        and moved.mean() < MIN_JOINT_CORRECTION[1]
+    ):
+        return None, before
+    how = float(turned.mean()), float(moved.mean()), before, after, fitted.silhouette.mask.grown
+    return HandRefinement(T, *how, fitted.silhouette, found.shared, found.own, joints, fitted.kind), after
+
+
+@dataclass(frozen=True)
+class _SeenHand:
+    """The hand's silhouette and, where they are known, its joints."""
+
+    silhouette: HandSilhouette
+    joints: SeenJoints | None
+
+    @property
+    def with_fingers(self) -> _SeenHand:
+        loose = self.joints is not None and self.joints.loose
+        return replace(self, silhouette=self.silhouette.with_fingers(sideways=loose))
+
+    def take(self, index: Int[ndarray, "n"]) -> _SeenHand:
+        return _SeenHand(self.silhouette.take(index), self.joints and self.joints.take(index))
+
+    def __call__(
+        self, x: Float[ndarray, "N P"]
+    ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
+        """Differing pixels of each frame, and what its joints cost in pixels; with derivatives."""
+        found = self.silhouette(x)
+        if self.joints is None:
+            return found
+        joints = self.joints.rigid if x.shape[1] == N_RIGID_ERRORS else self.joints
+        value, g, H = (a + b / HAND_PIXEL_WEIGHT for a, b in zip(found, joints(x), strict=True))
+        return value, g, H
+
+
+@dataclass(frozen=True)
+class _FittedHandErrors:
+    """Errors that were found, the silhouette that they move, and what was assumed of them."""
+
+    found: HandFit
+    silhouette: HandSilhouette
+    kind: HandsKind
+    joints: SeenJoints | None
+
+    @staticmethod
+    def to(silhouette: HandSilhouette, joints: SeenJoints | None, kind: HandsKind) -> _FittedHandErrors:
+        """Minimise the cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
+        seen, assumed, (rigid, few, all_frames) = (
+            _SeenHand(silhouette, joints),
+            assumed_errors(kind, joints),
+            REFINEMENT_ITERATIONS,
+        )
+        unrefined = np.zeros((len(silhouette.errors.tracked.T_cam_hand), N_RIGID_ERRORS))
+        found = least_squares.minimise(HandFit.of(seen, assumed, unrefined), rigid).state
+        seen = seen.with_fingers
+        if seen.silhouette.errors.weights is None:
+            return _FittedHandErrors(found, silhouette, kind, joints)
+        spare = seen.silhouette.errors.size - N_RIGID_ERRORS
+        shared, own = np.pad(found.shared, (0, spare)), np.pad(found.own, ((0, 0), (0, spare)))
+        index = frame_indices(len(own), N_FLEXION_FRAMES)
+        some = least_squares.minimise(HandFit.of(seen.take(index), assumed, own[index], shared), few).state
+        found = least_squares.minimise(HandFit.of(seen, assumed, own, some.shared), all_frames).state
+        return _FittedHandErrors(found, seen.silhouette, kind, joints)
+
+    @cached_property
+    def after(self) -> float:
+        """Share of the hand's pixels that still differ; NaN where none is seen."""
+        return self.silhouette.share(self.found.errors)

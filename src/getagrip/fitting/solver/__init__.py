@@ -1,0 +1,1 @@
+"""The solver: starting poses, coarse-to-fine search, Levenberg-Marquardt and Adam."""

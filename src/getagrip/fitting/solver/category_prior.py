@@ -1,0 +1,135 @@
+"""The usual grasps and sizes of a kind of objects, where nothing but the kind is known of the object.
+
+A mesh of this package's own stands for an object that nobody has measured. Its search also starts from the grasps that
+are usual for the kind, turned about the object's upright axis, so that a handle is tried on every side of the hand. Its
+size is drawn to what is usual (``Kind.spread``), and its upright axis to where it usually points in the hand: the
+silhouette of a mug is nearly that of one upside down. Vessels and bottles are seen from above: tilted as far away from
+the camera as towards it, a bowl or a bottle has nearly the same silhouette.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.clip import Clip
+from getagrip.fitting.energy import Energy, InHand, PosesInCamera, Quadratic, Term
+from getagrip.fitting.hand.hand_size import HAND_SIZE_SIGMA
+from getagrip.fitting.problem import HALF_TURN_DISTANCE_RANGE, ObjectSurface
+from getagrip.geometry import se3
+from getagrip.provenance import is_assumed
+from getagrip.synthetic.categories import OBJECT_KINDS, ObjectKind
+
+N_UPRIGHT_TURNS = 8
+"""Turns of each grasp about the upright axis."""
+CATEGORY_PRIOR_WEIGHT = 20.0
+"""Energy of one standard deviation of size or tilt in each frame, times 1/2 [px^2]."""
+TILT_SIGMA = 0.15
+"""Standard deviation of the cosine to the usual upright axis, below zero."""
+SIDE_REFLECTIONS = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
+"""Reflections: of the left hand's frame to the right's, and of an object whose handle points along x."""
+
+
+def unmeasured_kind(clip: Clip) -> ObjectKind | None:
+    """Return the kind of a clip's object, if its kind is all that is known of its shape and size."""
+    unmeasured = clip.scale == "free" and is_assumed(clip.provenance.get("mesh"))
+    return OBJECT_KINDS.get(clip.category) if unmeasured else None
+
+
+def category_rotations(clip: Clip) -> Float[ndarray, "k 3 3"]:
+    """Return rotations of the object in the hand, those of the most usual grasps first; none where it was measured."""
+    kind = unmeasured_kind(clip)
+    if kind is None:
+        return np.zeros((0, 3, 3))
+    grips = np.array([grip.R_hand_obj for grip in (*kind.grips, *kind.rarer)])
+    about = se3.exp_so3(np.arange(N_UPRIGHT_TURNS)[:, None] * np.array([0.0, 0.0, 2.0 * np.pi / N_UPRIGHT_TURNS]))
+    R = (grips[None] @ about[:, None]).reshape(-1, 3, 3)
+    return R if clip.side == "right" else SIDE_REFLECTIONS[0] @ R @ SIDE_REFLECTIONS[1]
+
+
+def handle_half_turns(clip: Clip, surface: ObjectSurface) -> Float[ndarray, "k 3 3"]:
+    """Return the half turn that swaps the sides of an unmeasured object's handle; none if nothing sticks out."""
+    half = se3.exp_so3(np.array([[0.0, 0.0, np.pi]]))
+    if unmeasured_kind(clip) is None or surface.moved_by(half)[0] < HALF_TURN_DISTANCE_RANGE[1]:
+        return half[:0]
+    return half
+
+
+def opening_angle(clip: Clip, T_hand_obj: Float[ndarray, "T 4 4"]) -> float:
+    """Measure how far the opening of an unmeasured vessel points away from the camera, median over frames [degrees].
+
+    NaN for all other objects.
+    """
+    kind = unmeasured_kind(clip)
+    if kind is None or not kind.opens_up:
+        return float("nan")
+    T = clip.hand.T_cam_hand @ T_hand_obj
+    away = T[:, :3, 3] / np.linalg.norm(T[:, :3, 3], axis=-1, keepdims=True)
+    return float(np.degrees(np.arcsin(np.clip(np.median(np.sum(T[:, :3, 2] * away, axis=-1)), -1.0, 1.0))))
+
+
+@dataclass(frozen=True)
+class SizeTerm:
+    """``weight / 2 * (log(scale) / spread)^2`` in each frame."""
+
+    spread: float
+    weight: float = CATEGORY_PRIOR_WEIGHT
+    name: str = "size"
+
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        found, off = Quadratic.zero(poses), np.log(poses.scale)[:, None]
+        stiffness = self.weight / self.spread**2
+        found.value[:] = 0.5 * stiffness * off**2
+        found.g[..., 6], found.H[..., 6, 6] = stiffness * off, stiffness
+        return found
+
+
+@dataclass(frozen=True)
+class UprightTerm:
+    """``weight / 2 * (min(0, max over k of axis_k . R z) / TILT)^2``, z the object's upright axis.
+
+    Called ``opening`` where the axis points to the camera.
+    """
+
+    axes: Float[ndarray, "N k 3"]
+    """Its usual directions in the camera frame."""
+    weight: float = CATEGORY_PRIOR_WEIGHT
+    name: str = "upright"
+
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        z = poses.R[..., 2]
+        cosine = np.sum(z[:, :, None] * self.axes, axis=-1)
+        nearest = cosine.argmax(axis=-1)
+        axis = self.axes[np.arange(z.shape[1]), nearest]
+        error = np.minimum(cosine.max(axis=-1), 0.0)
+        J = np.zeros((*z.shape[:2], 1, 7))
+        J[..., 0, 3:6] = np.where(error[..., None] < 0.0, np.cross(z, axis), 0.0)
+        return Quadratic.of_squares(error[..., None], J, 0.5 * self.weight / TILT_SIGMA**2)
+
+
+def category_energy(clip: Clip) -> Energy:
+    """Return the terms of an unmeasured object's upright axis, and of a size that is drawn to the usual or known one.
+
+    No terms for others.
+    """
+    kind = unmeasured_kind(clip)
+    spread = None if kind is None else kind.spread
+    if clip.size_beside_hand:
+        spread = HAND_SIZE_SIGMA
+
+    def terms(level: int, index: Int[ndarray, "n"]) -> list[Term]:
+        if spread is None:
+            return []
+        size = SizeTerm(spread)
+        if kind is None or not kind.opens_up:
+            return [size]
+        axes = category_rotations(clip)[: len(kind.grips), :, 2]
+        in_camera = axes @ np.swapaxes(clip.hand.T_cam_hand[index, :3, :3], 1, 2)
+        from_above = -clip.hand.T_cam_hand[index, None, :3, 3]
+        from_above /= np.linalg.norm(from_above, axis=-1, keepdims=True)
+        return [size, InHand(UprightTerm(in_camera)), InHand(UprightTerm(from_above, name="opening"))]
+
+    return terms

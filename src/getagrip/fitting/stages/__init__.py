@@ -1,0 +1,1 @@
+"""Stages of the pipeline around the search: contradicting masks, the mesh, remaining frames, confidence."""

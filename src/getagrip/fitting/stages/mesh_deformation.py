@@ -1,0 +1,192 @@
+"""Mesh fit: the shape of an object that has only a mesh of its category, from the silhouettes of all frames.
+
+A CAD of the category leaves contours that no pose explains, and the search ends at a pose whose wrong contours are a
+little better. So after the coarse stages the mesh may be warped: stretched, sheared, tapered and bent (``Warp``), by
+the same E_mask as the poses, under a prior. Whether the mesh is the object's own, the masks say: if it is, they are
+explained already, or, where masks or hands are off, another shape explains them hardly better.
+
+Misfit: how much worse the masks are explained than by the object's own mesh; it stiffens the motion.
+
+With a mesh of the category instead of the object's own, contours remain that no pose explains, and deviations bend the
+motion to fit them. So deviations cost more the worse the masks are explained, unless the shape is fitted (``shape``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip import least_squares
+from getagrip.fitting.energy.mask import MaskTerm, Observation, SilhouetteMesh
+from getagrip.fitting.energy.mesh_mask import N_SHAPE_PARAMETERS, MaskByShape
+from getagrip.fitting.motion import Fixed, Soft
+from getagrip.fitting.objective import MASK_STEP_PX, MIN_CURVATURE_DISTANCE_PX
+from getagrip.fitting.problem import Problem
+from getagrip.fitting.solver.category_prior import unmeasured_kind
+from getagrip.fitting.solver.solve import CURVATURE_FLOOR, jacobian_in_camera, minimise, poses_in_camera
+from getagrip.geometry.warp import Warp, remove_similarity
+from getagrip.least_squares import BlockArrow
+
+IMAGE_CONTOUR_ERROR_PX, CROP_CONTOUR_ERROR_PX = 0.4, 0.15
+"""Mean distance between the contour of the object's own mesh and that of a mask: pixels of the image, plus pixels of
+the crop. Right grasps of DexYCB's training subjects have 0.4 to 0.75 times as much (docs/method.md).
+"""
+STIFFNESS_EXPONENT = 3.0
+"""Stiffness grows with this power of the misfit; 4 held measured motions too stiffly."""
+
+
+def relative_contour_error(observation: Observation, mask: float) -> float:
+    """Compute the mean distance of contours from those of the masks, relative to that of the object's own mesh.
+
+    ``mask`` is the mean E_mask of a frame [px^2 of the crop], that distance times the visible length.
+    """
+    length = float(observation.targets[..., 4].sum(axis=1).mean())
+    expected = IMAGE_CONTOUR_ERROR_PX * observation.crops.zoom + CROP_CONTOUR_ERROR_PX
+    return mask / (length * expected) if length > 0.0 else 1.0
+
+
+def stiffen_ridge(ridge: tuple[float, float], times: float) -> tuple[float, float]:
+    """Return the stiffness of deviations at a misfit of ``times``: unchanged up to one."""
+    factor = float(np.maximum(times, 1.0) ** STIFFNESS_EXPONENT)
+    return ridge[0] * factor, ridge[1] * factor
+
+
+MIN_MESH_MISFIT = 1.2
+"""A mesh is fitted if its misfit (``misfit``) is above this,"""
+MAX_SHAPE_ENERGY_RATIO = 0.85
+"""and stays as it is unless another shape has at most this share of the energy. On 26 training clips of DexYCB,
+under each of four errors of hands, masks and size, at most one own mesh met both conditions."""
+MIN_DEFORMATION_DIAMETERS = 0.008
+"""A shape that is nearer to the mesh [diameters] is the mesh's own: what explains the masks better is the pose. Of 111
+other objects on training clips the fitted shape of 5 was that near."""
+SHAPE_FIT_LEVEL_PX, MAX_SHAPE_ITERATIONS = 128, 12
+"""Resolution [px] and most iterations of the fit."""
+STRETCH_SIGMA, BEND_SIGMA = 0.1, 0.05
+"""Standard deviations of the prior: of stretches, and of all else, as displacements at half a diameter from the middle,
+in these."""
+SHAPE_PRIOR_WEIGHT = 5.0
+"""Energy of one standard deviation in each frame, times 1/2 [px^2]. Between 2 and 20 little changes; 200 hold too much.
+"""
+MIN_WARP_EXPANSION = 0.1
+"""A warp that shrinks some part of space to less than this, or turns it inside out, is no shape."""
+KNOWN_SIZE_STIFFNESS = 100.0
+"""Times as stiff is the prior of the object's size, the mean of the three stretches, where the size is known."""
+
+
+def _deformation_modes() -> Float[ndarray, "24 27"]:
+    """Displacements that are no rotation: by symmetric matrices, and by each second-degree monomial along each axis."""
+    modes = []
+    for i in range(3):
+        for j in range(i, 3):
+            linear = np.zeros((9, 3))
+            linear[i, j] = linear[j, i] = 1.0
+            modes.append(linear.ravel())
+    return np.array([*modes, *np.eye(N_SHAPE_PARAMETERS)[9:]])
+
+
+DEFORMATION_MODES = _deformation_modes()
+STRETCH_MODES = np.flatnonzero(DEFORMATION_MODES[:, [0, 4, 8]].any(axis=1))
+"""The modes that stretch along x, y and z."""
+
+
+@dataclass
+class _ShapeState:
+    """Hypotheses with a shape each (``least_squares.State``)."""
+
+    motion: Soft[Fixed]
+    weights: Float[ndarray, "B 24"]
+    """How much of each mode."""
+    term: MaskByShape
+    stiffness: Float[ndarray, "24 24"]
+    T_cam_hand: Float[ndarray, "N 4 4"]
+
+    def __post_init__(self) -> None:
+        shapes = (self.weights @ DEFORMATION_MODES).reshape(-1, 9, 3)
+        value, g, H = self.term(poses_in_camera(self.motion, self.T_cam_hand), shapes)
+        by = np.zeros((7 + len(DEFORMATION_MODES), 7 + N_SHAPE_PARAMETERS))
+        by[:7, :7], by[7:, 7:] = np.eye(7), DEFORMATION_MODES
+        self.g, self.H = g @ by.T, by @ H @ by.T
+        self.pull = self.weights @ self.stiffness
+        prior = self.motion.prior().value + 0.5 * np.sum(self.pull * self.weights, axis=1)
+        self._cost = value.sum(axis=1) + prior
+
+    @property
+    def cost(self) -> Float[ndarray, "B"]:
+        return self._cost
+
+    def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> _ShapeState:
+        motion, weights = self.motion.take(active), self.weights[active]
+        J_shared, J_local = motion.jacobian()
+        B, N, _, S = J_shared.shape
+        M, L, prior = len(DEFORMATION_MODES), J_local.shape[-1], motion.prior()
+        seen = jacobian_in_camera(J_shared, J_local, self.T_cam_hand)
+        J = np.zeros((B, N, 7 + M, S + M + L))
+        J[..., :7, :S], J[..., 7:, S : S + M], J[..., :7, S + M :] = seen[..., :S], np.eye(M), seen[..., S:]
+        Jt = np.swapaxes(J, -1, -2)
+        A, b = Jt @ self.H[active] @ J, (Jt @ self.g[active][..., None])[..., 0]
+        of_shape = np.pad(self.stiffness, (S, 0)), np.pad(self.pull[active], ((0, 0), (S, 0)))
+        arrow = BlockArrow.of(A, b, slice(S + M), slice(S + M, None)).plus(*of_shape, prior.H, prior.g)
+        step, per_frame = arrow.step(damping, CURVATURE_FLOOR)
+        return replace(self, motion=motion.retract(step[:, :S], per_frame), weights=weights + step[:, S:])
+
+    def accept(self, trial: _ShapeState, active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> _ShapeState:
+        position, accepted = np.zeros(len(self.cost), int), np.zeros(len(self.cost), bool)
+        position[active], accepted[active[better]] = np.arange(len(active)), True
+        self.motion = trial.motion.take(position).where(accepted, self.motion)
+        for mine, theirs in zip(self._arrays(), trial._arrays(), strict=True):
+            mine[active[better]] = theirs[better]
+        return self
+
+    def _arrays(self) -> tuple[ndarray, ...]:
+        return self.weights, self.g, self.H, self.pull, self._cost
+
+
+def fit_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], misfit: float) -> Warp | None:
+    """Fit the mesh to the masks, from hypotheses in some frames of the problem.
+
+    ``misfit`` is how far off the best of them leaves the contours. None where the mesh stays as it is.
+    """
+    if misfit < MIN_MESH_MISFIT:
+        return None
+    mesh, observation = problem.clip.mesh, problem.observation.take(index)
+    coarse, radius = problem.surface.coarse, problem.surface.diameter / 2.0
+    seen = (
+        observation,
+        SHAPE_FIT_LEVEL_PX,
+        MASK_STEP_PX[SHAPE_FIT_LEVEL_PX],
+        MIN_CURVATURE_DISTANCE_PX[SHAPE_FIT_LEVEL_PX],
+    )
+    kind = unmeasured_kind(problem.clip)
+    stretch = STRETCH_SIGMA if kind is None or kind.stretch is None else kind.stretch
+    bend = BEND_SIGMA if kind is None or kind.bend is None else kind.bend
+    T_cam_hand = problem.clip.hand.T_cam_hand[index]
+    stiffness = len(index) * _shape_stiffness(stretch, bend, problem.clip.scale == "known")
+    undeformed = minimise(
+        motion, [MaskTerm(SilhouetteMesh.of(coarse, mesh.centre), *seen)], T_cam_hand, MAX_SHAPE_ITERATIONS
+    )
+    start = np.zeros((len(undeformed.energy), len(DEFORMATION_MODES)))
+    begun = _ShapeState(
+        undeformed.motion, start, MaskByShape(coarse, mesh.centre, radius, *seen), stiffness, T_cam_hand
+    )
+    warped = least_squares.minimise(begun, MAX_SHAPE_ITERATIONS).state
+    best = int(warped.cost.argmin())
+    if not warped.cost[best] < MAX_SHAPE_ENERGY_RATIO * undeformed.energy.min():
+        return None
+    warp = Warp.by(mesh.centre, radius, (warped.weights[best] @ DEFORMATION_MODES).reshape(9, 3))
+    if warp.expansion(mesh.vertices).min() < MIN_WARP_EXPANSION:
+        return None
+    shape = remove_similarity(warp, mesh, resize=problem.clip.scale == "free")[0]
+    return shape if shape.displacement(mesh) > MIN_DEFORMATION_DIAMETERS * mesh.diameter else None
+
+
+def _shape_stiffness(stretch: float, bend: float, size_known: bool) -> Float[ndarray, "24 24"]:
+    """Return the stiffness of the modes in each frame [px^2]."""
+    deviation = np.full(len(DEFORMATION_MODES), bend)
+    deviation[STRETCH_MODES] = stretch
+    stiffness = np.diag(SHAPE_PRIOR_WEIGHT / deviation**2)
+    if size_known:
+        stiffness[np.ix_(STRETCH_MODES, STRETCH_MODES)] += KNOWN_SIZE_STIFFNESS * SHAPE_PRIOR_WEIGHT / stretch**2 / 9.0
+    return stiffness

@@ -1,0 +1,200 @@
+"""Binary glTF (.glb): the triangles of its scene; the rest is ignored.
+
+Trimesh decodes every mesh of a file, shown or not, before anything can be counted. Here arrays are viewed in the file,
+and copied once it is known how many are wanted in all.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.geometry.mesh_files.obj import MAX_OBJ_ELEMENTS
+from getagrip.geometry.se3 import from_quaternion, transform
+from getagrip.io import files
+
+MAX_GLTF_JSON_BYTES = 16 * 2**20
+"""Bytes of the JSON."""
+MAX_GLTF_PARTS = 2**16
+"""Nodes, and parts of meshes at them."""
+MAX_NODE_TRANSFORM = 1e6
+"""Largest number in a node's transform."""
+COMPONENT_DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+"""The types of numbers by ``componentType``."""
+TRIANGLES_MODE, TRIANGLE_STRIP_MODE = 4, 5
+"""Modes of parts that have triangles."""
+
+
+def parse_glb(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
+    """Parse vertices and faces of the scene, its parts where its nodes put them.
+
+    ``path`` is only named in errors.
+
+    Materials, normals, textures, skins and animations are passed over. Raises ``InputError``.
+    """
+    try:
+        return _scene_triangles(_split_chunks(path, content))
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+        raise InputError(path, "mesh", f"a file that does not parse ({error})", "a whole .glb file") from error
+
+
+@dataclass(frozen=True)
+class _GltfFile:
+    """A file's JSON, not checked, and the bytes of its arrays."""
+
+    path: Path
+    tree: files.Json
+    data: memoryview
+
+    def item(self, key: str, n: int) -> files.Json:
+        """Return an item of a list."""
+        if not 0 <= n < len(self.tree[key]):
+            raise LookupError(f"no {key}[{n}]")
+        return self.tree[key][n]
+
+    def array(self, n: int, width: int) -> Shaped[ndarray, "n width"]:
+        """Return an array as it lies in the file. Its length is as claimed: rows may overlap."""
+        accessor = self.item("accessors", n)
+        if "bufferView" not in accessor or "sparse" in accessor or accessor.get("normalized"):
+            raise InputError(self.path, "mesh", "arrays without plain data", "a .glb exported without compression")
+        view = self.item("bufferViews", accessor["bufferView"])
+        if accessor["type"] != {1: "SCALAR", 3: "VEC3"}[width]:
+            raise ValueError(f"accessors[{n}] is not what it is used for")
+        if view["buffer"] != 0 or "uri" in self.item("buffers", 0):
+            raise InputError(self.path, "buffers", "arrays outside the file", "a .glb with all arrays in it")
+        start, dtype = view.get("byteOffset", 0), np.dtype(COMPONENT_DTYPES[accessor["componentType"]])
+        return np.ndarray(
+            (accessor["count"], width),
+            dtype,
+            self.data[start : start + view["byteLength"]],
+            accessor.get("byteOffset", 0),
+            (view.get("byteStride", width * dtype.itemsize), dtype.itemsize),
+        )
+
+
+class _MeshPrimitive(NamedTuple):
+    """A part of a mesh, as it lies in the file."""
+
+    points: Shaped[ndarray, "n 3"]
+    ids: Shaped[ndarray, "m 1"] | None
+    """Vertex index of each corner; None: each corner is a vertex, in their order."""
+    is_strip: bool
+    """True if each corner from the third on makes a triangle with the two before."""
+
+
+def _split_chunks(path: Path, content: bytes) -> _GltfFile:
+    """Split a file into its two chunks."""
+    if content[:4] != b"glTF" or content[16:20] != b"JSON":
+        raise ValueError("no glTF header")
+    end = 20 + int.from_bytes(content[12:16], "little")
+    if end - 20 > MAX_GLTF_JSON_BYTES:
+        raise InputError(path, "JSON", f"{end - 20} bytes", f"at most {MAX_GLTF_JSON_BYTES}")
+    tree = json.loads(content[20:end])
+    compressed = [name for name in tree.get("extensionsRequired", []) if "compress" in name]
+    if compressed:
+        raise InputError(path, "mesh", files.printable(str(compressed[0])), "a .glb exported without compression")
+    data = memoryview(content)[end + 8 :]
+    length = int.from_bytes(content[end : end + 4], "little")
+    if len(data) < length:
+        raise ValueError("it is cut short")
+    return _GltfFile(path, tree, data[:length])
+
+
+def _scene_triangles(file: _GltfFile) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
+    """Vertices and faces of all parts."""
+    parts, vertices, corners = [], 0, 0
+    of_mesh: dict[int, list[_MeshPrimitive]] = {}
+    for mesh, T_scene_node in _iterate_mesh_poses(file):
+        if mesh not in of_mesh:
+            of_mesh[mesh] = list(_triangle_primitives(file, mesh))
+        for points, ids, is_strip in of_mesh[mesh]:
+            vertices, corners = vertices + len(points), corners + len(points if ids is None else ids)
+            parts.append((points, ids, is_strip, T_scene_node))
+            if len(parts) > MAX_GLTF_PARTS:
+                raise InputError(
+                    file.path, "nodes", f"more than {MAX_GLTF_PARTS} parts of meshes", f"at most {MAX_GLTF_PARTS}"
+                )
+            if vertices > MAX_OBJ_ELEMENTS or corners > 3 * MAX_OBJ_ELEMENTS:
+                got = f"{vertices} vertices and {corners} corners of faces, or more"
+                raise InputError(
+                    file.path, "nodes", got, f"at most {MAX_OBJ_ELEMENTS} vertices and {3 * MAX_OBJ_ELEMENTS} corners"
+                )
+    if not parts:
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    first, found = 0, []
+    for points, ids, is_strip, T_scene_node in parts:
+        faces = _primitive_faces(
+            file.path, np.arange(len(points)) if ids is None else ids.ravel(), len(points), is_strip
+        )
+        is_mirrored = np.linalg.det(T_scene_node[:3, :3]) < 0
+        found.append(
+            (transform(T_scene_node, points.astype(float)), first + (faces[:, ::-1] if is_mirrored else faces))
+        )
+        first += len(points)
+    placed, joined = zip(*found, strict=True)
+    return np.concatenate(placed), np.concatenate(joined)
+
+
+def _iterate_mesh_poses(file: _GltfFile) -> Iterator[tuple[int, Float[ndarray, "4 4"]]]:
+    """Yield each mesh of the scene with its pose there, scale included."""
+    if not file.tree.get("scenes"):
+        return
+    scene, seen = file.item("scenes", file.tree.get("scene", 0)), set()
+    waiting = [(scene.get("nodes", []), np.eye(4))]
+    for children, T_scene_parent in waiting:
+        for n in children:
+            node = file.item("nodes", n)
+            if n in seen:
+                raise ValueError(f"nodes[{n}] is in two places")
+            seen.add(n)
+            if len(seen) > MAX_GLTF_PARTS:
+                raise InputError(file.path, "nodes", f"more than {MAX_GLTF_PARTS} in the scene", "at most that")
+            with np.errstate(all="ignore"):
+                T_scene_node = T_scene_parent @ _node_transform(node)
+            if not (np.abs(T_scene_node) <= MAX_NODE_TRANSFORM).all():
+                got = "a transform with numbers that are vast or not finite"
+                raise InputError(file.path, f"nodes[{n}]", got, f"at most {MAX_NODE_TRANSFORM:g}, in the scene")
+            waiting.append((node.get("children", []), T_scene_node))
+            if "mesh" in node:
+                yield node["mesh"], T_scene_node
+
+
+def _node_transform(node: files.Json) -> Float[ndarray, "4 4"]:
+    """Return the pose of a node in its parent, scale included."""
+    if "matrix" in node:
+        return np.array(node["matrix"], dtype=float).reshape(4, 4).T  # it is stored by columns
+    T = np.eye(4)
+    if "rotation" in node:
+        x, y, z, w = np.array(node["rotation"], dtype=float)
+        T[:3, :3] = from_quaternion(np.array([w, x, y, z]))
+    T[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), dtype=float)
+    T[:3, 3] = node.get("translation", (0, 0, 0))
+    return T
+
+
+def _triangle_primitives(file: _GltfFile, mesh: int) -> Iterator[_MeshPrimitive]:
+    """Yield the parts of a mesh that have triangles."""
+    for part in file.item("meshes", mesh)["primitives"]:
+        mode = part.get("mode", TRIANGLES_MODE)
+        if mode in (TRIANGLES_MODE, TRIANGLE_STRIP_MODE):
+            ids = file.array(part["indices"], 1) if "indices" in part else None
+            yield _MeshPrimitive(file.array(part["attributes"]["POSITION"], 3), ids, mode == TRIANGLE_STRIP_MODE)
+
+
+def _primitive_faces(path: Path, ids: Shaped[ndarray, "n"], vertices: int, is_strip: bool) -> Int[ndarray, "F 3"]:
+    """Return the triangles of a part."""
+    if ids.dtype.kind == "f" or (len(ids) and not 0 <= ids.min() <= ids.max() < vertices):
+        raise InputError(path, "faces", f"the vertex index {ids.max()}", f"0 to {vertices - 1}, counted from 0")
+    if not is_strip:
+        return ids.astype(np.int64).reshape(-1, 3)
+    faces = np.stack([ids[:-2], ids[1:-1], ids[2:]], axis=1).astype(np.int64)
+    faces[1::2] = faces[1::2, ::-1]  # every other one is wound the other way
+    return faces

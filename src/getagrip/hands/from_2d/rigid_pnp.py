@@ -1,0 +1,208 @@
+"""Stiff hands laid on clicked joints: which way each hand is turned before the camera, and how well that fits.
+
+The cost of a click at r standard deviations from its joint is c^2 log(1 + r^2 / c^2) (Cauchy), so that a few wrong ones
+count little.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip.geometry import se3
+from getagrip.geometry.camera import backproject, project
+from getagrip.hands import generic
+from getagrip.hands.fit_joints import JOINT_SIGMA_M, Chains, apply_hand_step, joints_and_jacobian
+from getagrip.least_squares import DampingRules, damp_hessian, minimise
+
+CLICK_SIGMA_M = 0.005
+"""Standard deviation of a click beside that of the joints themselves, at the hand [m]."""
+JOINT_DEPTH_SIGMA_M = 0.025
+"""Standard deviation of a network's depths of joints about a plane [m]."""
+COLLINEAR_RIDGE = 1e-3
+"""Joints as flat as this share of their variance in the image lie on a line."""
+CLICK_OUTLIER_SIGMAS = 2.5
+"""Clicks beyond this number of standard deviations are outliers."""
+N_PLACEMENT_ROTATIONS = 48
+"""Rotations that are tried, spread evenly."""
+N_PLACEMENT_STEPS = 12
+"""Number of steps of each of them."""
+PLACEMENT_RULES = DampingRules(success=0.1, failure=10.0, least=0.0, most=np.inf, rejections=np.inf, tolerance=0.0)
+"""No hand is done before the others."""
+TURN_SIGMA_RAD = 0.7
+"""A hand turns about so much from one clicked frame to the next [rad]."""
+
+
+class Clicks(NamedTuple):
+    """Clicked joints."""
+
+    K: Float[ndarray, "3 3"]
+    y: Float[ndarray, "n 21 2"]
+    """Pixels; zero where not clicked."""
+    there: Bool[ndarray, "n 21"]
+    noise: Float[ndarray, "n 21"]
+    """Standard deviation of each [px]."""
+    depth: Float[ndarray, "n 21"]
+    """Distance of each along the ray to the hand, up to a plane over the image [m]; used where ``depth_known``."""
+    depth_known: Bool[ndarray, "n"]
+
+    @staticmethod
+    def of(K: Float[ndarray, "3 3"], points: Float[ndarray, "n 21 2"]) -> Clicks:
+        """Convert the noise from metres to pixels by the extent of the hand in the image."""
+        there = ~np.isnan(points).any(axis=-1)
+        flat = generic.load("right").with_shape().with_pose().joints
+        per_metre = np.array(
+            [_mean_radius(y[seen]) / _mean_radius(flat[seen]) for y, seen in zip(points, there, strict=True)]
+        )
+        noise = per_metre[:, None] * np.hypot(JOINT_SIGMA_M, CLICK_SIGMA_M)
+        none = np.zeros(len(points), dtype=bool)
+        return Clicks(K, np.where(there[..., None], points, 0.0), there, noise, np.zeros(there.shape), none)
+
+
+def _mean_radius(points: Float[ndarray, "n d"]) -> float:
+    """Mean distance from the middle, at least a trifle."""
+    return max(float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean()), 1e-6)
+
+
+def click_equations(
+    clicks: Clicks, T: Float[ndarray, "n 4 4"], X: Float[ndarray, "n 21 3"], J: Float[ndarray, "n 21 3 D"]
+) -> tuple[Float[ndarray, "n"], Float[ndarray, "n D D"], Float[ndarray, "n D"]]:
+    """Compute each frame's cost, J^T J and J^T r, for the derivatives J of the joints X in the hand's axes."""
+    uv, by_joint = project_hand_joints(clicks.K, T, X, J)
+    r = (uv - clicks.y) / clicks.noise[..., None]
+    weight = clicks.there / (1.0 + np.sum(r * r, axis=-1) / CLICK_OUTLIER_SIGMAS**2)  # of Cauchy's rho, for J^T J
+    A = by_joint / clicks.noise[..., None, None]
+    n, size = len(X), J.shape[-1]
+    weighted = (A * weight[..., None, None]).reshape(n, 42, size)
+    H = np.swapaxes(weighted, 1, 2) @ A.reshape(n, 42, size)
+    g = (r.reshape(n, 1, 42) @ weighted)[:, 0]
+    costs = CLICK_OUTLIER_SIGMAS**2 * np.sum(
+        clicks.there * np.log1p(np.sum(r * r, axis=-1) / CLICK_OUTLIER_SIGMAS**2), axis=1
+    )
+    if clicks.depth_known.any():
+        _add_depth_equations(clicks, T, X, J, uv, costs, H, g)
+    return costs, H, g
+
+
+def project_hand_joints(
+    K: Float[ndarray, "3 3"], T: Float[ndarray, "n 4 4"], X: Float[ndarray, "n 21 3"], J: Float[ndarray, "n 21 3 D"]
+) -> tuple[Float[ndarray, "n 21 2"], Float[ndarray, "n 21 2 D"]]:
+    """Project joints [px], with the derivatives that follow from those of the joints in the hand's axes."""
+    X_cam = se3.transform(T, X)
+    z = np.maximum(X_cam[..., 2], 0.01)  # behind the camera nothing can be fitted; the cost there is large
+    X_cam = np.concatenate([X_cam[..., :2], z[..., None]], axis=-1)
+    D = np.zeros((*z.shape, 2, 3))
+    D[..., 0, 0], D[..., 0, 2] = K[0, 0] / z, -K[0, 0] * X_cam[..., 0] / z**2
+    D[..., 1, 1], D[..., 1, 2] = K[1, 1] / z, -K[1, 1] * X_cam[..., 1] / z**2
+    return project(K, X_cam), D @ T[:, None, :3, :3] @ J
+
+
+def _add_depth_equations(
+    clicks: Clicks,
+    T: Float[ndarray, "n 4 4"],
+    X: Float[ndarray, "n 21 3"],
+    J: Float[ndarray, "n 21 3 D"],
+    uv: Float[ndarray, "n 21 2"],
+    costs: Float[ndarray, "n"],
+    H: Float[ndarray, "n D D"],
+    g: Float[ndarray, "n D"],
+) -> None:
+    """Add what depths of joints tell of the fingers; a network's hands are turned as a whole, so a plane is free."""
+    rows = clicks.depth_known
+    ray = np.einsum("ni,nij->nj", _rays(clicks)[rows], T[rows, :3, :3])[:, None]
+    off, A = np.sum(X[rows] * ray, axis=-1), (ray[:, :, None] @ J[rows])[:, :, 0]
+    r = _subtract_plane(uv[rows], (off - clicks.depth[rows])[..., None])[..., 0] / JOINT_DEPTH_SIGMA_M
+    A = _subtract_plane(uv[rows], A) / JOINT_DEPTH_SIGMA_M
+    weighted = A / (1.0 + r[..., None] ** 2 / CLICK_OUTLIER_SIGMAS**2)
+    costs[rows] += CLICK_OUTLIER_SIGMAS**2 * np.sum(np.log1p(r * r / CLICK_OUTLIER_SIGMAS**2), axis=1)
+    H[rows] += np.swapaxes(weighted, 1, 2) @ A
+    g[rows] += (r[:, None] @ weighted)[:, 0]
+
+
+def _subtract_plane(uv: Float[ndarray, "n 21 2"], values: Float[ndarray, "n 21 D"]) -> Float[ndarray, "n 21 D"]:
+    """Subtract the plane over the image that fits best."""
+    centred, apart = (each - each.mean(axis=1, keepdims=True) for each in (values, uv))
+    across = np.swapaxes(apart, 1, 2)
+    G = across @ apart
+    ridge = COLLINEAR_RIDGE * np.trace(G, axis1=1, axis2=2)[:, None, None] * np.eye(2)  # of joints on a line
+    return np.asarray(centred - apart @ np.linalg.solve(G + ridge, across @ centred))
+
+
+def _rays(clicks: Clicks) -> Float[ndarray, "n 3"]:
+    """Return unit vectors towards the middles of the hands."""
+    count = np.maximum(clicks.there.sum(axis=1), 1)[:, None]
+    ray = backproject(clicks.K, clicks.y.sum(axis=1) / count)
+    return np.asarray(ray / np.linalg.norm(ray, axis=1, keepdims=True))
+
+
+def place_rigid_hands(
+    chains: Chains, clicks: Clicks, grasp: Float[ndarray, "5 3 3"], shape: Float[ndarray, "S"]
+) -> Float[ndarray, "n 4 4"]:
+    """Place stiff hands with given fingers: T_cam_hand of rotations that fit and turn little between frames."""
+    n, m = len(clicks.y), N_PLACEMENT_ROTATIONS
+    X, J = joints_and_jacobian(chains, grasp[None], shape)
+    R = se3.super_fibonacci(m)
+    T = np.tile(np.eye(4), (n, m, 1, 1))
+    for k, there in enumerate(clicks.there):
+        distance = clicks.K[0, 0] * _mean_radius(X[0, there]) / _mean_radius(clicks.y[k, there])
+        middle = backproject(clicks.K, clicks.y[k, there].mean(axis=0)[None])[0] * distance
+        T[k] = se3.rigid(R, middle - R @ X[0, there].mean(axis=0))
+    many = Clicks(clicks.K, *(np.repeat(each, m, axis=0) for each in clicks[1:]))
+    stiff = _RigidHands(np.repeat(X, n * m, axis=0), np.repeat(J[..., :6], n * m, axis=0), many, chains.wrist)
+    found = minimise(stiff.at(T.reshape(n * m, 4, 4)), N_PLACEMENT_STEPS, PLACEMENT_RULES).state
+    T = found.T.reshape(n, m, 4, 4)
+    return T[np.arange(n), _smoothest(found.cost.reshape(n, m), T[..., :3, :3])]
+
+
+class _RigidHands(NamedTuple):
+    """Hands that cannot bend, each with its clicks."""
+
+    X: Float[ndarray, "k 21 3"]
+    J: Float[ndarray, "k 21 3 6"]
+    clicks: Clicks
+    wrist: Float[ndarray, "3"]
+
+    def at(self, T: Float[ndarray, "k 4 4"]) -> _Placed:
+        return _Placed(self, T, *click_equations(self.clicks, T, self.X, self.J))
+
+
+class _Placed(NamedTuple):
+    """Stiff hands at their places (``least_squares.State``); all are tried in each step."""
+
+    stiff: _RigidHands
+    T: Float[ndarray, "k 4 4"]
+    cost: Float[ndarray, "k"]
+    H: Float[ndarray, "k 6 6"]
+    g: Float[ndarray, "k 6"]
+
+    def trial(self, active: Int[ndarray, "k"], damping: Float[ndarray, "k"]) -> _Placed:
+        step = -np.linalg.solve(damp_hessian(self.H, damping, floor=1e-6), self.g[..., None])[..., 0]
+        return self.stiff.at(apply_hand_step(self.T, step, self.stiff.wrist))
+
+    def accept(self, trial: _Placed, active: Int[ndarray, "k"], better: Bool[ndarray, "k"]) -> _Placed:
+        kept = (
+            np.where(better.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+            for new, old in zip(trial[1:], self[1:], strict=True)
+        )
+        return _Placed(self.stiff, *kept)
+
+
+def turning_cost(Ra: Float[ndarray, "*#batch 3 3"], Rb: Float[ndarray, "*#batch 3 3"]) -> Float[ndarray, "*batch"]:
+    """Compute the cost of turning from one clicked frame to the next."""
+    return np.asarray((se3.angle_between(Ra, Rb) / TURN_SIGMA_RAD) ** 2)
+
+
+def _smoothest(cost: Float[ndarray, "n m"], R: Float[ndarray, "n m 3 3"]) -> Int[ndarray, "n"]:
+    """One of m rotations in each frame such that their costs and those of turning have the least sum (Viterbi)."""
+    total, came = cost[0], []
+    for k in range(1, len(cost)):
+        both = total[:, None] + turning_cost(R[k - 1][:, None], R[k][None])
+        came.append(both.argmin(axis=0))
+        total = both.min(axis=0) + cost[k]
+    path = [int(total.argmin())]
+    for before in came[::-1]:
+        path.append(int(before[path[-1]]))
+    return np.array(path[::-1])

@@ -1,0 +1,253 @@
+"""Meshes of another system, one for each frame, against a clip: what can be measured without a CAD model.
+
+No vertex of such a mesh is known to be a vertex of the true one, so there is no ADD. IOU is that of our own results.
+Penetration and SCA are those of the hand that the clip gives, which is not moved; SCA on the sides that can be compared
+(``metrics.contact``). A frame without a mesh shows nothing and touches nothing.
+
+Another system's poses of the clip's mesh, as a result: so that all that measures our results measures them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from getagrip.clip import Clip, Masks
+from getagrip.clip.clip import frame_indices
+from getagrip.clip.match_frames import check_frame_numbers, frame_of, renumber_frames
+from getagrip.clip.object_poses import poses_path_of_clip, read_poses
+from getagrip.clip.read_arrays import MAX_CAMERA_RANGE_M, MIN_CAMERA_RANGE_M
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files import MESH_SUFFIXES, checked_mesh, drop_degenerate_faces, parse_mesh
+from getagrip.io import files
+from getagrip.metrics.contact import ContactDistances, Side, mesh_distances
+from getagrip.metrics.evaluate.comparison import Comparison
+from getagrip.metrics.evaluate.results import Evaluation, evaluate_comparison
+from getagrip.metrics.mask import MaskIou, iou_of_meshes, iou_of_poses
+from getagrip.result import FrameKind, Reconstruction, is_result, read_result
+from getagrip.result.findings import format_probability
+
+MeshFrame = Literal["camera", "hand"]
+"""Frame of the vertices [m]: the clip's camera frame, or its hand frame."""
+MAX_HAND_OBJECT_DISTANCE_M = 0.5
+"""Largest distance of an object's middle from the origin of the hand frame [m]."""
+MAX_EVALUATED_FACES = 20_000_000
+"""Most faces of all meshes of a clip."""
+
+
+def evaluate_meshes(meshes: Sequence[Mesh | None], clip: Clip, masks: Masks | None, method: str) -> Evaluation:
+    """Compute IOU, SCA and penetration of a mesh for each of the clip's frames, in the hand frame.
+
+    Besides, ``frames_without_mesh`` counts these, and ``closed`` is the share of meshes without holes: only of these is
+    it certain what is inside.
+    """
+    return evaluate_comparison(_MeshComparison(clip, masks, tuple(meshes)), method, symmetry=None)
+
+
+@dataclass(frozen=True, eq=False)
+class _MeshComparison(Comparison):
+    """A comparison by one mesh for each frame, in the hand frame [m]."""
+
+    frame_meshes: tuple[Mesh | None, ...]
+
+    @property
+    def meshes(self) -> tuple[Mesh | None, ...]:
+        return self.frame_meshes
+
+    @property
+    def has_object(self) -> Bool[ndarray, "T"]:
+        return np.array([mesh is not None for mesh in self.meshes])
+
+    @cached_property
+    def iou(self) -> MaskIou:
+        poses = zip(self.meshes, self.clip.hand.T_cam_hand, strict=True)
+        in_camera = [None if mesh is None else _transform_mesh(mesh, T_cam_hand) for mesh, T_cam_hand in poses]
+        return iou_of_meshes(in_camera, self.clip.K, self.judged_masks)
+
+    @property
+    def distances(self) -> ContactDistances:
+        return self._distances[0]
+
+    @property
+    def sides(self) -> Sequence[Side]:
+        return self._distances[1]
+
+    @cached_property
+    def _distances(self) -> tuple[ContactDistances, tuple[Side, ...]]:
+        return mesh_distances(self.meshes, self.clip.hand.vertices, self.clip.hand.faces)
+
+
+def read_meshes(
+    folder: Path, clip: Clip, frame: MeshFrame, first: int | None = None
+) -> tuple[list[Mesh | None], list[InputError]]:
+    """Read the mesh of each of the clip's frames, in the hand frame; also return the errors of unreadable files.
+
+    Files are named like the frames, or by the same numbers; those of other frames are passed over; ``first`` is the
+    number of the first frame's, where they are counted from another start. Raises ``InputError`` where no file is named
+    like a frame or none can be read, ``UsageError`` where they seem to be counted from another start.
+    """
+    named: dict[int, list[Path]] = {}
+    paths = files.list_files(folder, MESH_SUFFIXES)
+    frames = clip.frames if first is None else renumber_frames(clip.frames, first, "--first")
+    check_frame_numbers(frames, [path.stem for path in paths], folder, "mesh", "--first" if first is None else "")
+    for path in paths:
+        n = frame_of(path.stem, frames)
+        if n is not None:
+            named.setdefault(n, []).append(path)
+    if not named:
+        expected = f"{clip.frames[0]}.obj (or {', '.join(MESH_SUFFIXES[1:])}) and so on, as the frames of {clip.name}"
+        raise InputError(folder, "", "no mesh named like a frame", expected)
+    meshes: list[Mesh | None] = [None] * len(clip)
+    errors = []
+    faces = 0
+    for n, paths in named.items():
+        try:
+            if len(paths) > 1:
+                raise InputError(paths[1], "", f"another mesh of the frame of {paths[0].name}", "one for each frame")
+            meshes[n] = mesh = _read_mesh_in_hand(paths[0], frame, clip.hand.T_cam_hand[n])
+        except InputError as error:
+            errors.append(error)
+            continue
+        faces += len(mesh.faces)
+        if faces > MAX_EVALUATED_FACES:
+            raise InputError(
+                folder, "", f"meshes of more than {MAX_EVALUATED_FACES} faces in all", "fewer; decimate them"
+            )
+    if len(errors) == len(named):  # as in another unit or frame: the first says what is wrong with all
+        raise errors[0]
+    return meshes, errors
+
+
+def _read_mesh_in_hand(path: Path, frame: MeshFrame, T_cam_hand: Float[ndarray, "4 4"]) -> Mesh:
+    """Read a mesh in the hand frame; faces without area, which systems often make, are left out."""
+    vertices, faces = parse_mesh(path)
+    mesh = checked_mesh(path, vertices, drop_degenerate_faces(vertices, faces))
+    if frame == "camera":
+        if not MIN_CAMERA_RANGE_M < mesh.centre[2] < MAX_CAMERA_RANGE_M:
+            got = f"a mesh whose middle is {mesh.centre[2]:.3g} m before the camera"
+            raise InputError(
+                path, "vertices", got, f"{MIN_CAMERA_RANGE_M:g} to {MAX_CAMERA_RANGE_M:g} m; is it in the hand frame?"
+            )
+        mesh = _transform_mesh(mesh, se3.inverse(T_cam_hand))
+    away = float(np.linalg.norm(mesh.centre))
+    if frame == "hand" and away > MAX_HAND_OBJECT_DISTANCE_M:
+        got = f"a mesh whose middle is {away:.3g} m from the hand's"
+        raise InputError(path, "vertices", got, f"at most {MAX_HAND_OBJECT_DISTANCE_M:g} m; is it in the camera frame?")
+    return mesh
+
+
+def _transform_mesh(mesh: Mesh, T: Float[ndarray, "4 4"]) -> Mesh:
+    return Mesh(se3.transform(T, mesh.vertices), mesh.faces)
+
+
+@dataclass(frozen=True)
+class ExternalSystem:
+    """A system by the name that tables show, and its poses of many clips (``clip.object_poses.place_of``)."""
+
+    name: str
+    root: Path
+
+    def inputs(self, clip: str) -> dict[str, Path]:
+        """Return the files that hold the poses of a clip, by name. Raises ``InputError``."""
+        place = poses_path_of_clip(self.root, clip)
+        inside = files.list_files(place) if place.is_dir() else [place]
+        return {path.name: path for path in inside}
+
+    def result(self, clip: Clip, masks: Masks | None, frames: Sequence[str]) -> Reconstruction:
+        """Read its poses of a clip, one of many, in some of its frames. Raises ``InputError``.
+
+        A result folder of this package that has all of them keeps its hand, its checks and what else is in it.
+        """
+        place = poses_path_of_clip(self.root, clip.name)
+        if place.is_dir() and is_result(place):
+            found, _ = read_result(place)
+            if {*frames} <= {*found.frames}:
+                return replace(found.take(np.array([found.frames.index(name) for name in frames])), method=self.name)
+        return read_external_poses(place, self.name, clip, masks).take(clip.index_of(frames))
+
+
+def read_external_poses(
+    place: Path, name: str, clip: Clip, masks: Masks | None, first: int | None = None
+) -> Reconstruction:
+    """Read the poses of a file or folder as a result; arguments and errors are those of ``read_poses``.
+
+    A frame without a pose has the nearest frame's, fixed in the hand, and counts as interpolated.
+    """
+    poses = read_poses(place, clip, first)
+    scale = 1.0 if poses.scale is None else poses.scale
+    kind: tuple[FrameKind, ...] = tuple("sampled" if found else "interpolated" for found in poses.found)
+    iou = np.full(len(clip), np.nan)
+    if masks is not None:
+        iou = iou_of_poses(clip.mesh, scale, clip.hand.T_cam_hand @ poses.T_hand_obj, clip.K, masks).full
+    notes = [f"poses of another system, from {place.name}"]
+    if "interpolated" in kind:
+        notes.append(
+            f"no pose in {kind.count('interpolated')} of {len(clip)} frames: those of their neighbours, in the hand"
+        )
+    if poses.scale is None and clip.scale == "free":
+        notes.append("the scale 1 is a guess: the poses say none, and the clip's mesh has no known size")
+    if masks is not None and (
+        text := diagnose_pose_convention(clip, masks, clip.hand.T_cam_hand @ poses.T_hand_obj, scale, iou)
+    ):
+        notes.append(text)
+    notes += poses.notes
+    unknown = {"total": float("nan")}
+    return replace(
+        Reconstruction.external(clip.name, name, clip.frames, poses.T_hand_obj, scale),
+        frame_kind=kind, iou=iou, energy=unknown, seconds=unknown, notes=tuple(notes),
+    )  # fmt: skip
+
+
+MISALIGNED_IOU_THRESHOLD, CONVENTION_IOU_THRESHOLD = 0.5, 0.6
+"""Mean overlap with the masks below which poses may be in another convention, and from which on one is theirs."""
+MISALIGNED_POSES_MESSAGE = (
+    "no given pose meets the masks: are they inverse, in another frame, of another mesh or of another instance?"
+)
+N_CONVENTION_FRAMES = 6
+"""Frames in which conventions are tried."""
+
+
+def diagnose_pose_convention(
+    clip: Clip, masks: Masks, T_cam_obj: Float[ndarray, "T 4 4"], scale: float, iou: Float[ndarray, "T"]
+) -> str:
+    """Say that poses miss the masks, and by which convention they would meet them; empty where they meet them."""
+    known = np.flatnonzero(np.isfinite(iou))
+    if not len(known) or (mean := float(iou[known].mean())) >= MISALIGNED_IOU_THRESHOLD:
+        return ""
+    some = known[frame_indices(len(known), N_CONVENTION_FRAMES)]
+    T, mesh, seen = T_cam_obj[some], clip.mesh, masks.take(some)
+    to_middle = se3.rigid(np.eye(3), -scale * mesh.centre)
+    to_mean = se3.rigid(np.eye(3), -scale * mesh.vertices.mean(axis=0))
+    turned = se3.exp_so3(np.array([np.pi / 2.0, 0.0, 0.0]))
+    conventions = {
+        "inverse (camera to object)": se3.inverse(T),
+        "of a camera that looks along -z (OpenGL)": np.diag([1.0, -1.0, -1.0, 1.0]) @ T,
+        "with rotations that are transposed": se3.rigid(np.swapaxes(T[:, :3, :3], 1, 2), T[:, :3, 3]),
+        "of the mesh moved to its middle": T @ to_middle,
+        "of the mesh moved to the mean of its vertices": T @ to_mean,
+        "of the mesh with y up instead of z": T @ se3.rigid(turned, np.zeros(3)),
+        "of the mesh with z up instead of y": T @ se3.rigid(turned.T, np.zeros(3)),
+    }
+    each = {
+        name: float(np.nanmean(iou_of_poses(mesh, scale, one, clip.K[some], seen).full))
+        for name, one in conventions.items()
+        if (se3.transform(one, scale * mesh.vertices)[..., 2] > 0.0).all()
+    }
+    best = max(each, key=lambda name: each[name], default="")
+    beginning = (
+        MISALIGNED_POSES_MESSAGE.partition(":")[0]
+        if mean == 0.0
+        else f"the poses meet the masks by {format_probability(mean)} only"
+    )
+    if best and each[best] >= max(CONVENTION_IOU_THRESHOLD, mean + 0.2):
+        return f"{beginning}; they meet them by {format_probability(each[best])} if they are {best}"
+    return f"{beginning}:{MISALIGNED_POSES_MESSAGE.partition(':')[2]}"

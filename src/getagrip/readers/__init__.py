@@ -1,0 +1,1 @@
+"""Files of datasets, trackers, sensors and other programs, as clips or parts of them."""

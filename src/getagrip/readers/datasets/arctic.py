@@ -1,0 +1,307 @@
+"""ARCTIC (Fan et al., CVPR 2023): two hands use objects with a joint; true poses by motion capture.
+
+Read are the raw sequences, as ARCTIC's own code (https://github.com/zc-alexfan/arctic) describes them:
+
+    raw_seqs/<subject>/<sequence>.object.npy        (T, 7): angle of the joint [rad], rotation vector, translation [mm]
+    raw_seqs/<subject>/<sequence>.mano.npy          left, right: rot (T, 3), pose (T, 45), trans (T, 3) [m], shape (10,)
+    raw_seqs/<subject>/<sequence>.egocam.dist.npy   R_k_cam_np (T, 3, 3), T_k_cam_np (T, 3, 1) [m], intrinsics (3, 3)
+    meta/misc.json                                  by subject: world2cam, intris_mat (8), image_size (9), ioi_offset
+    meta/object_vtemplates/<object>/mesh.obj        [mm], and parts.json: 0 for each vertex of the top, 1 of the bottom
+
+ARCTIC's prose numbers the parts the other way round; its code turns those that are 0. Where ``top.obj`` and
+``bottom.obj`` lie beside the template, they decide, and must agree with ``parts.json`` (``arctic_parts``).
+The top turns by the angle about -z of the template's frame; then the whole is turned and moved. View 0 is the camera on
+the head, its lens undistorted, 1 to 8 are the fixed ones. Images are not read.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+from tyro.conf import arg
+
+from getagrip.clip import HandTrack, Joint, World
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files import MAX_MESH_BYTES, checked_mesh, drop_degenerate_faces
+from getagrip.geometry.mesh_files.obj import parse_obj
+from getagrip.hands.model import Side
+from getagrip.io import arrays, pickles
+from getagrip.io.files import MAX_JSON_BYTES, is_portable_name, read_bytes, read_json, shorten_value
+from getagrip.io.options import OptionalFolder
+from getagrip.readers.datasets import mano_tracks
+from getagrip.readers.datasets.cutting import TrackedDataset
+from getagrip.readers.datasets.dataset import Note
+from getagrip.readers.datasets.mano_tracks import check_mano_numbers
+from getagrip.readers.datasets.tracks import SequenceSource, Track, check_length, intrinsics_from_opencv
+from getagrip.stable_grasps.definition import GraspOptions
+
+ARCTIC_GRASP_OPTIONS = GraspOptions(tau=0.5, contact_mm=0.0, points="fragments", rule="first", shortest=20)
+"""The grasps of the authors' list (``stable_grasps_v3_frag_valid_min20``), found as their published code finds them.
+
+The paper defines them by vertices and all pairs (Eq. 2), and states no shortest length."""
+N_ARCTIC_VIEWS = 9
+ARCTIC_FPS = 30.0
+ARCTIC_IMAGE_SCALE = 0.3
+"""Masks are so much smaller than the images, 840 x 600 for view 0, as the paper's are."""
+SIDES: tuple[Side, ...] = ("left", "right")
+METRES_PER_MM = 1e-3
+TOP_PART_NUMBER = 0
+"""The number of the top in ``parts.json``: ARCTIC's code adds 1 and turns what is then 1."""
+MIN_PART_MARGIN_M = 0.002
+"""A vertex this much nearer to one part than to the other belongs to it [m]; else ``parts.json`` decides."""
+MAX_PART_MISMATCH_FRACTION = 0.05
+"""Share of the clear vertices that may differ from ``parts.json``: the template is coarser than its parts."""
+
+
+@dataclass(frozen=True)
+class Template:
+    """An object whose top turns about a joint, in a frame of its own (``neutral_frame``)."""
+
+    mesh: Mesh
+    """In the neutral frame, the joint at 0."""
+    joint: Joint
+    T_neutral_template: Float[ndarray, "4 4"]
+
+
+@dataclass(frozen=True)
+class ArcticCamera:
+    """One of the cameras."""
+
+    number: int
+    K: Float[ndarray, "3 3"]
+    T_cam_world: Float[ndarray, "T 4 4"]
+    size: tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arctic(TrackedDataset):
+    """ARCTIC's raw sequences: every visible stable grasp."""
+
+    grasps: Annotated[GraspOptions, arg(name="")] = ARCTIC_GRASP_OPTIONS
+    """Definition of a stable grasp."""
+
+    mano: OptionalFolder = None
+    """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl."""
+    view: Annotated[int, arg(metavar="N")] = 0
+    """The camera: 0 on the head, 1 to 8 fixed."""
+
+    def sources(self) -> list[SequenceSource]:
+        """List the sequences below ``root``, ARCTIC's folder of ``raw_seqs`` and ``meta``, or one that holds it."""
+        if not 0 <= self.view < N_ARCTIC_VIEWS:
+            raise UsageError(f"--view must be 0 (the camera on the head) to {N_ARCTIC_VIEWS - 1} (got {self.view})")
+        mano = mano_tracks.mano_folder(self.mano, "ARCTIC")
+        places = (self.root, self.root / "data", self.root / "arctic_data" / "data")
+        base = next((place for place in places if (place / "raw_seqs").is_dir()), self.root)
+        found = sorted(base.glob("raw_seqs/*/*.object.npy"))
+        if not found:
+            raise InputError(self.root, "", "no raw_seqs/<subject>/<sequence>.object.npy in it", "ARCTIC's folder")
+        return [
+            SequenceSource(
+                f"{f.parent.name}/{_sequence_name(f)}", partial(_read_arctic_sequence, base, f, mano, self.view)
+            )
+            for f in found
+        ]
+
+
+def _sequence_name(file: Path) -> str:
+    return file.name.removesuffix(".object.npy")
+
+
+def _read_arctic_sequence(base: Path, file: Path, mano: Path, view: int, note: Note) -> Iterator[Track]:
+    """Yield the object in each hand over a sequence."""
+    subject, sequence = file.parent.name, _sequence_name(file)
+    name = sequence.partition("_")[0]
+    if not (is_portable_name(name) and is_portable_name(subject)):
+        raise InputError(file, "", f"the name {file.name!r}", "<object>_<use or grab>_<number>.object.npy")
+    poses = arrays.floats(file, {"": arrays.parse_npy(file, "", read_bytes(file))}, "", (-1, 7))
+    T = len(poses)
+    check_length(file, "", T)
+    subjects = base / "meta" / "misc.json"
+    misc = read_json(subjects).get(subject)
+    if not isinstance(misc, dict):
+        raise InputError(subjects, subject, shorten_value(misc), "the cameras of this subject")
+    camera = _read_arctic_camera(subjects, misc, subject, view, file.with_name(f"{sequence}.egocam.dist.npy"), T)
+    offset = misc.get("ioi_offset")
+    if type(offset) is not int or not 0 <= offset < 10**6:
+        raise InputError(subjects, f"{subject}.ioi_offset", shorten_value(offset), "a number of frames")
+    template = read_template(base / "meta" / "object_vtemplates" / name)
+    T_world_template = se3.rigid(se3.exp_so3(poses[:, 1:4]), METRES_PER_MM * poses[:, 4:])
+    T_cam_obj = camera.T_cam_world @ T_world_template @ se3.inverse(template.T_neutral_template)
+    hands = _read_arctic_hands(file.with_name(f"{sequence}.mano.npy"), mano, camera.T_cam_world, T)
+    for side in SIDES:
+        yield Track(
+            file=file,
+            subject=subject,
+            sequence=sequence,
+            category=name,
+            side=side,
+            fps=ARCTIC_FPS,
+            numbers=np.arange(T) + offset,
+            digits=5,
+            size=camera.size,
+            K=camera.K,
+            hand=hands[side],
+            T_cam_obj=T_cam_obj,
+            mesh=template.mesh,
+            joint=template.joint,
+            articulation=poses[:, 0],
+            origin=offset,
+            other_hand=hands["left" if side == "right" else "right"],
+            world=World(se3.inverse(camera.T_cam_world)),
+            provenance={
+                "source": f"ARCTIC, {subject}/{sequence}, view {view}",
+                "licence": "made from ARCTIC, for non-commercial research only",
+                "hands": "ARCTIC's MANO parameters (true), by the user's MANO files",
+                "camera": "the camera on the head; its images are distorted, these masks are not"
+                if view == 0
+                else f"fixed camera {view}",
+                "image": f"masks are {ARCTIC_IMAGE_SCALE:g} times as large as the images",
+                "scale": "ARCTIC's template, true size",
+                "frame": "z along the principal axis about which the closed object is most nearly round, origin in the "
+                "middle; ARCTIC's own frame has z along the joint",
+            },
+        )
+
+
+def _read_arctic_hands(file: Path, mano: Path, T_cam_world: Float[ndarray, "T 4 4"], T: int) -> dict[Side, HandTrack]:
+    """Both hands. ARCTIC was fitted with the published left hand, faults included."""
+    value = pickles.read_pickle_file(file, "ARCTIC's MANO parameters")
+    hands: dict[Side, HandTrack] = {}
+    for side in SIDES:
+        values = value.get(side)
+        if not isinstance(values, dict):
+            raise InputError(file, side, shorten_value(values), "the parameters of this hand")
+        rot, pose, trans = (
+            check_mano_numbers(file, values, key, (T, n), side) for key, n in (("rot", 3), ("pose", 45), ("trans", 3))
+        )
+        shape = check_mano_numbers(
+            file, values, "shape", (10,) if np.size(values.get("shape", ())) == 10 else (T, 10), side
+        )
+        model = mano_tracks.load_mano_hand(mano, side, repaired=False)
+        hands[side] = mano_tracks.mano_hand_track(model, rot, pose, trans, shape.reshape(-1, 10)[0], False, T_cam_world)
+    return hands
+
+
+def _read_arctic_camera(
+    file: Path, misc: dict[str, object], subject: str, number: int, egocam: Path, T: int
+) -> ArcticCamera:
+    """Read the camera of a view, that on the head from its own file."""
+    of = {key: np.array(misc[key]) for key in ("image_size", "world2cam", "intris_mat") if _is_table(misc.get(key))}
+    sizes = check_mano_numbers(file, of, "image_size", (N_ARCTIC_VIEWS, 2), subject)
+    width, height = (round(ARCTIC_IMAGE_SCALE * float(side)) for side in sizes[number])
+    if not (0 < width < 10_000 and 0 < height < 10_000):
+        raise InputError(
+            file, f"{subject}.image_size", shorten_value(sizes[number].tolist()), "width and height in pixels"
+        )
+    if number == 0:
+        file, subject = egocam, ""
+        value = pickles.read_pickle_file(egocam, "ARCTIC's camera on the head")
+        K = check_mano_numbers(egocam, value, "intrinsics", (3, 3))
+        T_cam_world = se3.rigid(
+            check_mano_numbers(egocam, value, "R_k_cam_np", (T, 3, 3)),
+            check_mano_numbers(egocam, value, "T_k_cam_np", (T, 3, 1))[..., 0],
+        )
+    else:
+        K = check_mano_numbers(file, of, "intris_mat", (N_ARCTIC_VIEWS - 1, 3, 3), subject)[number - 1]
+        T_cam_world = np.tile(
+            check_mano_numbers(file, of, "world2cam", (N_ARCTIC_VIEWS - 1, 4, 4), subject)[number - 1], (T, 1, 1)
+        )
+    if not se3.is_rigid(T_cam_world).all():
+        raise InputError(file, subject, f"a view {number} that is no rigid motion", "rotations and translations [m]")
+    if not (K[0, 0] > 0 and K[1, 1] > 0 and np.all(K[2] == [0, 0, 1]) and abs(K[0, 1]) < 1e-6 * K[0, 0]):
+        raise InputError(file, subject, shorten_value(K.tolist()), "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    return ArcticCamera(number, intrinsics_from_opencv(K, ARCTIC_IMAGE_SCALE), T_cam_world, (width, height))
+
+
+def _is_table(value: object) -> bool:
+    """Return whether a JSON value is lists of numbers, all of the same length."""
+    table = arrays.from_lists(value)
+    return table is not None and table.dtype.kind in "if"
+
+
+def read_template(folder: Path) -> Template:
+    """Read an object's template. Raises ``InputError``."""
+    file = folder / "mesh.obj"
+    vertices, faces = parse_obj(file, read_bytes(file, MAX_MESH_BYTES))
+    vertices, faces = METRES_PER_MM * vertices, drop_degenerate_faces(METRES_PER_MM * vertices, faces)
+    checked_mesh(file, vertices, faces)
+    mesh = Mesh(vertices, faces)
+    return make_neutral_template(mesh, read_top_vertices(folder, mesh))
+
+
+def make_neutral_template(mesh: Mesh, top: Bool[ndarray, "V"]) -> Template:
+    """Make a template of an object in ARCTIC's frame [m], whose ``top`` turns about -z of that frame."""
+    T = neutral_frame(mesh)
+    joint = Joint(moves=top, point=T[:3, 3], direction=-T[:3, 2])
+    return Template(Mesh(se3.transform(T, mesh.vertices), mesh.faces), joint, T)
+
+
+def neutral_frame(mesh: Mesh) -> Float[ndarray, "4 4"]:
+    """Return ``T_neutral_mesh``: z along the axis about which a mesh is most nearly round, the origin in its middle.
+
+    Principal axes are those of the surface's second moments, by area. z is the one whose moment lies further from the
+    middle one; x that of the larger of the others; where z and x point is where the surface reaches further from its
+    centroid (third moments).
+    """
+    area = mesh.vertex_areas / mesh.vertex_areas.sum()
+    x = mesh.vertices - area @ mesh.vertices
+    moments, axes = np.linalg.eigh((area[:, None] * x).T @ x)  # the smallest first
+    z, first = (2, 1) if moments[2] - moments[1] > moments[1] - moments[0] else (0, 2)
+    R = np.empty((3, 3))
+    for row, k in ((2, z), (0, first)):
+        along = x @ axes[:, k]
+        R[row] = axes[:, k] * (1.0 if area @ along**3 >= 0.0 else -1.0)
+    R[1] = np.cross(R[2], R[0])
+    turned = mesh.vertices @ R.T
+    return se3.rigid(R, -(turned.min(axis=0) + turned.max(axis=0)) / 2.0)
+
+
+def read_top_vertices(folder: Path, mesh: Mesh) -> Bool[ndarray, "V"]:
+    """Return the vertices of the template in ``folder`` that turn. Raises ``InputError``."""
+    numbered = _read_part_numbers(folder / "parts.json", len(mesh.vertices)) == TOP_PART_NUMBER
+    top, bottom = folder / "top.obj", folder / "bottom.obj"
+    if not (top.is_file() and bottom.is_file()):
+        return numbered
+    nearer = _distance_to_mesh(bottom, mesh.vertices) - _distance_to_mesh(top, mesh.vertices)
+    clear = np.abs(nearer) > MIN_PART_MARGIN_M
+    differ = clear & ((nearer > 0.0) != numbered)
+    if differ.sum() > MAX_PART_MISMATCH_FRACTION * clear.sum():
+        got = f"{differ.sum()} of {clear.sum()} vertices numbered against top.obj and bottom.obj, which lie beside it"
+        raise InputError(
+            folder / "parts.json", "", got, f"{TOP_PART_NUMBER} for each vertex of mesh.obj at top.obj, else 1"
+        )
+    return np.where(clear, nearer > 0.0, numbered)
+
+
+def _read_part_numbers(file: Path, count: int) -> ndarray:
+    """Read the numbers in ``parts.json``, (V,)."""
+    try:
+        part = arrays.from_lists(json.loads(read_bytes(file, MAX_JSON_BYTES)))
+    except (ValueError, RecursionError) as error:
+        raise InputError(file, "", f"text that is no JSON ({error})", "a JSON list") from error
+    if part is None or part.shape != (count,) or not np.isin(part, (0, 1)).all():
+        got = f"{len(part)} numbers" if part is not None and part.ndim == 1 else "something else"
+        raise InputError(file, "", got, f"0 or 1 for each of the {count} vertices of mesh.obj")
+    return part
+
+
+def _distance_to_mesh(file: Path, points: Float[ndarray, "V 3"]) -> Float[ndarray, "V"]:
+    """From points [m] to the surface of the mesh in a file [mm]."""
+    import igl
+
+    vertices, faces = parse_obj(file, read_bytes(file, MAX_MESH_BYTES))
+    vertices, faces = METRES_PER_MM * vertices, drop_degenerate_faces(METRES_PER_MM * vertices, faces)
+    checked_mesh(file, vertices, faces)
+    tree = igl.AABB()
+    tree.init(vertices, faces)
+    return np.sqrt(tree.squared_distance(vertices, faces, points)[0])

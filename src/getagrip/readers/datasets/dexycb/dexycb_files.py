@@ -1,0 +1,355 @@
+"""DexYCB's files as arrays: one ``DexYcbRecording`` for each sequence, all in the frame of one of its cameras.
+
+Read are DexYCB's own layout, as its toolkit (https://github.com/NVlabs/dex-ycb-toolkit) describes it,
+
+    calibration/intrinsics/<serial>_640x480.yml     fx, fy, ppx, ppy of the colour camera
+    calibration/extrinsics_<id>/extrinsics.yml      optional: poses (3 x 4) of the cameras and of a tag on the table
+    <subject>/<sequence>/meta.yml                   cameras, objects, which of them is held, which hand
+    <subject>/<sequence>/<serial>/labels_<frame>.npz    pose_y (O, 3, 4), joint_3d (1, 21, 3), seg (480, 640)
+
+and packed files, one ``.npz`` with many sequences: ``sequence`` and ``object`` (S,), ``offset`` (S + 1,), and per frame
+``obj_quat_xyzw``, ``obj_trans`` [m], ``joints`` [m] and ``hand_valid``; sequence i has the rows offset[i] to
+offset[i + 1]. Both are in the camera frame.
+
+DexYCB's calibration: YAML files, of Python's own types only tuples in them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Shaped
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.hands.fit_joints import JOINT_ORDERS
+from getagrip.hands.model import Side
+from getagrip.io import arrays
+from getagrip.io.files import is_portable_name, list_files, printable, read_bytes, shorten_value
+
+MAX_YAML_BYTES = 2**16
+"""Limit in bytes of a description; DexYCB's have a few hundred."""
+TABLE_TAG = "apriltag"
+"""On the table, z up."""
+
+
+def read_dexycb_intrinsics(path: Path) -> Float[ndarray, "3 3"]:
+    """Read the intrinsics of the colour camera [px]. Raises ``InputError``."""
+    colour = read_yaml(path).get("color")
+    wanted = [colour.get(key) if isinstance(colour, dict) else None for key in ("fx", "fy", "ppx", "ppy")]
+    fx, fy, ppx, ppy = (float(v) if isinstance(v, float | int) else np.nan for v in wanted)
+    if not (np.isfinite([fx, fy, ppx, ppy]).all() and fx > 0.0 and fy > 0.0):
+        raise InputError(path, "color", shorten_value(colour), "fx, fy, ppx, ppy in pixels, fx and fy above 0")
+    # DexYCB counts from the centre of the first pixel, this package from its corner.
+    return np.array([[fx, 0.0, ppx + 0.5], [0.0, fy, ppy + 0.5], [0.0, 0.0, 1.0]])
+
+
+def read_table_camera(path: Path, serial: str) -> Float[ndarray, "4 4"]:
+    """Read the pose of a camera in the frame of the tag on the table. Raises ``InputError``."""
+    value = read_yaml(path).get("extrinsics")
+    T_master = {}
+    for key in (serial, TABLE_TAG):  # both in the frame of one of the cameras
+        values = value.get(key) if isinstance(value, dict) else None
+        numbers = values if isinstance(values, list | tuple) else []
+        if len(numbers) != 12 or not all(isinstance(v, float | int) for v in numbers):
+            raise InputError(path, f"extrinsics.{key}", shorten_value(values), "12 numbers, [R | t] row by row")
+        T_master[key] = np.vstack([np.array(numbers, dtype=float).reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
+        if not se3.is_rigid(T_master[key]):
+            raise InputError(path, f"extrinsics.{key}", "a matrix that is no rigid motion", "[R | t] in metres")
+    return np.asarray(se3.inverse(T_master[TABLE_TAG]) @ T_master[serial])
+
+
+def read_yaml(path: Path) -> dict[str, object]:
+    """Read a YAML mapping; of Python's own types only tuples are allowed, which DexYCB's calibration holds.
+
+    Raises ``InputError``.
+    """
+    import yaml
+
+    class Loader(yaml.SafeLoader):  # type: ignore[misc]
+        """YAML's own types and tuples, without aliases, by which a small file can unfold to a huge one."""
+
+        def compose_node(self, parent: object, index: object) -> object:
+            if self.check_event(yaml.AliasEvent):
+                raise yaml.YAMLError("an alias")
+            return super().compose_node(parent, index)
+
+    Loader.add_constructor("tag:yaml.org,2002:python/tuple", Loader.construct_sequence)
+    try:
+        content = yaml.load(read_bytes(path, MAX_YAML_BYTES), Loader)
+    except Exception as error:  # what is no date, number or truth value raises whatever its parser meets
+        raise InputError(path, "", f"text that is no plain YAML ({error})", "a YAML mapping") from error
+    if not isinstance(content, dict):
+        raise InputError(path, "", f"a YAML {type(content).__name__}", "a YAML mapping")
+    return content
+
+
+DEXYCB_IMAGE_SIZE_PX = (640, 480)
+"""Width and height of DexYCB's images [px]."""
+YCB_NAME_BY_ID = {
+    1: "002_master_chef_can",
+    2: "003_cracker_box",
+    3: "004_sugar_box",
+    4: "005_tomato_soup_can",
+    5: "006_mustard_bottle",
+    6: "007_tuna_fish_can",
+    7: "008_pudding_box",
+    8: "009_gelatin_box",
+    9: "010_potted_meat_can",
+    10: "011_banana",
+    11: "019_pitcher_base",
+    12: "021_bleach_cleanser",
+    13: "024_bowl",
+    14: "025_mug",
+    15: "035_power_drill",
+    16: "036_wood_block",
+    17: "037_scissors",
+    18: "040_large_marker",
+    19: "051_large_clamp",
+    20: "052_extra_large_clamp",
+    21: "061_foam_brick",
+}
+"""DexYCB's objects by their numbers in ``ycb_ids`` and ``seg``."""
+PACKED_K = np.array([[616.641, 0.0, 308.548], [0.0, 616.258, 248.523], [0.0, 0.0, 1.0]])
+"""One of DexYCB's cameras [px]; packed files do not say which camera's frame they are in."""
+PACKED_ARRAYS = ("sequence", "object", "offset", "obj_quat_xyzw", "obj_trans", "joints", "hand_valid")
+MAX_DEXYCB_FRAMES = 20_000
+"""Most frames of a sequence; DexYCB's have 72."""
+
+
+@dataclass(frozen=True)
+class ObjectPoses:
+    """One object over a sequence."""
+
+    T_cam_obj: Float[ndarray, "N 4 4"]
+    known: Bool[ndarray, "N"]
+
+
+@dataclass(frozen=True)
+class DexYcbRecording:
+    """One sequence: a hand takes one of the objects on a table."""
+
+    file: Path
+    """File that it was read from."""
+    subject: str
+    sequence: str
+    camera: str
+    side: Side
+    grasped: str
+    """Name of the object that is held."""
+    objects: dict[str, ObjectPoses]
+    """By name, the held one among them."""
+    joints: Float[ndarray, "N 21 3"]
+    """Joints in the camera frame [m], in this package's order."""
+    hand_known: Bool[ndarray, "N"]
+    K: Float[ndarray, "3 3"]
+    T_table_cam: Float[ndarray, "4 4"] | None = None
+    """The camera, which stands still, in the frame of a tag that lies on the table, z up; None where it is unknown."""
+
+
+@dataclass(frozen=True)
+class UnreadSequence:
+    """A sequence that is yet to be read; it can be sent to another process."""
+
+    name: str
+    read: Callable[[], DexYcbRecording]
+    """Read a hand file; raise ``InputError`` for a malformed one."""
+
+
+def find_dexycb_sequences(root: Path) -> list[UnreadSequence]:
+    """Find the sequences of a packed file, of a folder of packed files, or of DexYCB's own layout.
+
+    Raises ``InputError`` where there is none, and for packed files that are malformed.
+    """
+    packed = [root] if root.is_file() else list_files(root, (".npz",))
+    if packed:
+        return [sequence for file in packed for sequence in _find_packed_sequences(file)]
+    if not root.is_dir():
+        raise InputError(root, "", "no such file or folder", "DexYCB's folder, or a packed file of its sequences")
+    folders = [meta.parent for meta in sorted(root.glob("*/*/meta.yml"))]
+    if not folders:
+        raise InputError(root, "", "no <subject>/<sequence>/meta.yml and no .npz in it", "DexYCB's own layout")
+    return [UnreadSequence(f"{f.parent.name}/{f.name}", partial(_read_sequence_folder, root, f)) for f in folders]
+
+
+def _find_packed_sequences(path: Path) -> list[UnreadSequence]:
+    """Read the sequences of a packed file. Which hand it is shows in how the fingers bend."""
+    stored = arrays.read(path, PACKED_ARRAYS.__contains__)
+    names, grasped = _parse_texts(path, stored, "sequence"), _parse_texts(path, stored, "object")
+    q = arrays.floats(path, stored, "obj_quat_xyzw", (-1, 4))
+    N, S = len(q), len(names)
+    t = arrays.floats(path, stored, "obj_trans", (N, 3))
+    joints = arrays.floats(path, stored, "joints", (N, 21, 3))[:, JOINT_ORDERS["ho3d"]]
+    known = _check_array(path, stored, "hand_valid", (N,), "b")
+    offset = _check_array(path, stored, "offset", (S + 1,), "iu").astype(np.int64)
+    if len(grasped) != S:
+        raise InputError(path, "object", f"{len(grasped)} names", f"{S}, one for each sequence")
+    if offset[0] != 0 or offset[-1] != N or np.any(np.diff(offset) <= 0):
+        raise InputError(path, "offset", shorten_value(offset.tolist()), f"rising numbers from 0 to {N}")
+    if np.diff(offset).max() > MAX_DEXYCB_FRAMES:
+        raise InputError(
+            path, "offset", f"a sequence of {np.diff(offset).max()} frames", f"at most {MAX_DEXYCB_FRAMES}"
+        )
+    lengths = np.linalg.norm(q, axis=1)
+    if np.abs(lengths - 1.0).max() > 1e-2:
+        input_length = f"a quaternion of length {lengths[np.argmax(np.abs(lengths - 1.0))]:.3g}"
+        raise InputError(path, "obj_quat_xyzw", input_length, "unit quaternions")
+    sequences = []
+    for i, (name, obj) in enumerate(zip(names, grasped, strict=True)):
+        rows = slice(offset[i], offset[i + 1])
+        subject, _, sequence = name.partition("/")
+        if not (_is_clip_name_part(subject) and _is_clip_name_part(sequence)):
+            raise InputError(path, f"sequence[{i}]", shorten_value(name), "<subject>/<sequence>")
+        if not _is_clip_name_part(obj):
+            raise InputError(path, f"object[{i}]", shorten_value(obj), "the name of an object")
+        T_cam_obj = se3.rigid(se3.from_quaternion(np.roll(q[rows], 1, axis=1)), t[rows])
+        poses = ObjectPoses(T_cam_obj, np.ones(len(T_cam_obj), dtype=bool))
+        read = partial(_packed_recording, path, subject, sequence, obj, poses, joints[rows], known[rows])
+        sequences.append(UnreadSequence(name, read))
+    return sequences
+
+
+def _packed_recording(
+    path: Path,
+    subject: str,
+    sequence: str,
+    grasped: str,
+    poses: ObjectPoses,
+    joints: Float[ndarray, "N 21 3"],
+    known: Bool[ndarray, "N"],
+) -> DexYcbRecording:
+    side = infer_hand_side(joints[known])
+    return DexYcbRecording(path, subject, sequence, "", side, grasped, {grasped: poses}, joints, known, PACKED_K)
+
+
+def infer_hand_side(joints: Float[ndarray, "N 21 3"]) -> Side:
+    """Return the side of a hand: fingers bend towards the palm, which left and right hands have on opposite sides."""
+    wrist, index, pinky = joints[:, 0], joints[:, 5], joints[:, 17]
+    towards = np.cross(index - wrist, pinky - wrist)  # the palm of a right hand, the back of a left one
+    bent = (joints[:, [8, 12, 16, 20]] - joints[:, [5, 9, 13, 17]]).sum(axis=1)
+    return "right" if np.sum(towards * bent) > 0.0 else "left"
+
+
+def _read_sequence_folder(root: Path, folder: Path) -> DexYcbRecording:
+    """Read a sequence of DexYCB's own layout, in the camera that sees most of the grasped object at the end."""
+    path = folder / "meta.yml"
+    if not (_is_clip_name_part(folder.parent.name) and _is_clip_name_part(folder.name)):
+        raise InputError(path, "", "a folder name that cannot be part of a clip's", "<subject>/<sequence>")
+    meta = read_yaml(path)
+    frames = _parse_integer(path, meta, "num_frames", 1, MAX_DEXYCB_FRAMES)
+    ids = _parse_list(path, meta, "ycb_ids")
+    if not all(isinstance(i, int) and i in YCB_NAME_BY_ID for i in ids) or len(set(ids)) < len(ids):
+        raise InputError(path, "ycb_ids", shorten_value(ids), "different numbers of DexYCB's objects, 1 to 21")
+    grasped = ids[_parse_integer(path, meta, "ycb_grasp_ind", 0, len(ids) - 1)]
+    sides: dict[object, Side] = {"left": "left", "right": "right"}
+    side = _parse_list(path, meta, "mano_sides")[0]
+    if side not in sides:
+        raise InputError(path, "mano_sides", shorten_value(side), "left or right")
+    serial = _best_camera(folder, [str(s) for s in _parse_list(path, meta, "serials")], grasped, frames)
+    labels = [_read_label(folder / serial / _label_name(n), len(ids)) for n in range(frames)]
+    pose_y, joints = (np.stack(a) for a in zip(*labels, strict=True))
+    T_cam_obj = np.zeros((frames, len(ids), 4, 4))
+    T_cam_obj[:, :, :3], T_cam_obj[:, :, 3, 3] = pose_y, 1.0
+    known = np.any(pose_y != 0.0, axis=(2, 3))  # what is not known is zero
+    bad = np.argwhere(known & ~se3.is_rigid(T_cam_obj))
+    if bad.size:
+        raise InputError(
+            folder / serial / _label_name(bad[0, 0]), "pose_y", "a matrix that is no rigid motion", "[R | t]"
+        )
+    return DexYcbRecording(
+        file=folder,
+        subject=folder.parent.name,
+        sequence=folder.name,
+        camera=serial,
+        side=sides[side],
+        grasped=YCB_NAME_BY_ID[grasped],
+        objects={YCB_NAME_BY_ID[id_]: ObjectPoses(T_cam_obj[:, k], known[:, k]) for k, id_ in enumerate(ids)},
+        joints=joints,
+        hand_known=~np.all(joints == -1.0, axis=(1, 2)),  # a hand that is not known is -1
+        K=read_dexycb_intrinsics(
+            root / "calibration" / "intrinsics" / f"{serial}_{DEXYCB_IMAGE_SIZE_PX[0]}x{DEXYCB_IMAGE_SIZE_PX[1]}.yml"
+        ),
+        T_table_cam=_find_table_camera(root, path, meta, serial),
+    )
+
+
+def _best_camera(folder: Path, serials: list[str], grasped: int, frames: int) -> str:
+    """Choose the camera with the most pixels of the grasped object in the last frame, of those that are there."""
+    there = {serial: folder / serial for serial in serials if serial.isalnum() and (folder / serial).is_dir()}
+    if not there:
+        raise InputError(folder, "serials", f"no folder of any of {', '.join(map(printable, serials))}", "one at least")
+    if len(there) == 1:
+        return next(iter(there))
+    pixels = {}
+    for serial, camera in there.items():
+        path = camera / _label_name(frames - 1)
+        seg = _check_array(path, arrays.read(path, {"seg"}.__contains__), "seg", DEXYCB_IMAGE_SIZE_PX[::-1], "iu")
+        pixels[serial] = np.count_nonzero(seg == grasped)
+    return max(pixels, key=pixels.__getitem__)
+
+
+def _label_name(frame: int) -> str:
+    return f"labels_{frame:06d}.npz"
+
+
+def _read_label(path: Path, objects: int) -> tuple[Float[ndarray, "O 3 4"], Float[ndarray, "21 3"]]:
+    """Poses of the objects and joints of the hand; ``joint_3d`` is in this package's order already."""
+    stored = arrays.read(path, {"pose_y", "joint_3d"}.__contains__)
+    return arrays.floats(path, stored, "pose_y", (objects, 3, 4)), arrays.floats(path, stored, "joint_3d", (1, 21, 3))[
+        0
+    ]
+
+
+def _find_table_camera(root: Path, path: Path, meta: dict[str, object], serial: str) -> Float[ndarray, "4 4"] | None:
+    """Read the camera in the frame of the tag on the table; None where the calibration is not there."""
+    name = meta.get("extrinsics", "")
+    if not (isinstance(name, str) and (name == "" or _is_clip_name_part(name))):
+        raise InputError(path, "extrinsics", shorten_value(name), "the name of a calibration")
+    file = root / "calibration" / f"extrinsics_{name}" / "extrinsics.yml"
+    return read_table_camera(file, serial) if file.is_file() else None
+
+
+def _parse_list(path: Path, entry: dict[str, object], key: str) -> list[int]:
+    value = entry.get(key)
+    if not isinstance(value, list) or not value:
+        raise InputError(path, key, shorten_value(value), "a list that is not empty")
+    return value
+
+
+def _parse_integer(path: Path, entry: dict[str, object], key: str, least: int, most: int) -> int:
+    value = entry.get(key)
+    if not isinstance(value, int) or not least <= value <= most:
+        raise InputError(path, key, shorten_value(value), f"a whole number from {least} to {most}")
+    return value
+
+
+def _parse_texts(path: Path, arrays: dict[str, ndarray], key: str) -> list[str]:
+    array = _check_array(path, arrays, key, (-1,), "U")
+    try:
+        return [str(text) for text in array.tolist()]
+    except ValueError as error:
+        raise InputError(path, key, f"text that does not decode ({error})", "names") from error
+
+
+def _check_array(
+    path: Path, arrays: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str
+) -> Shaped[ndarray, "..."]:
+    """Check that an array is there, of one of the kinds and of the shape, with -1 for any length above 0."""
+    array = arrays.get(key)
+    if array is None:
+        raise InputError(path, key, "no such array", f"an array of shape {shape}")
+    alike = (a == b or (b == -1 and a > 0) for a, b in zip(array.shape, shape, strict=False))
+    if array.dtype.kind not in kinds or array.ndim != len(shape) or not all(alike):
+        raise InputError(path, key, f"{array.dtype} of shape {array.shape}", f"kind {kinds} of shape {shape}")
+    return array
+
+
+def _is_clip_name_part(text: str) -> bool:
+    """Return whether a text can be part of a clip's name."""
+    return is_portable_name(text) and re.fullmatch(r"[\w.-]+", text) is not None and "--" not in text

@@ -1,0 +1,247 @@
+"""HO-3D (Hampali et al., CVPR 2020), versions 2 and 3: a right hand and a YCB object, true poses by fitting to RGB-D.
+
+Read is, as HO-3D's own scripts (https://github.com/shreyashampali/ho3d) describe it, with the axes of OpenGL (y up, z
+towards the eye) turned into this package's,
+
+    <split>/<sequence>/meta/<frame>.pkl     objName, objRot (rotation vector), objTrans [m], camMat, handJoints3D [m],
+                                            and with MANO handPose (48,), handTrans [m], handBeta (10,)
+
+    evaluation.txt, evaluation_xyz.json     <sequence>/<frame> in each line, and their joints (N, 21, 3) [m]
+
+Frames without labels hold None. In the evaluation split ``handJoints3D`` is the wrist; the joints were published later,
+in a list of their own, which is read where it lies beside the splits.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from tyro.conf import arg
+
+from getagrip.clip import HandTrack
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
+from getagrip.hands import generic
+from getagrip.hands.fit_joints import fit_joints
+from getagrip.io import pickles
+from getagrip.io.arrays import from_lists
+from getagrip.io.files import is_portable_name, read_any_json, read_bytes, shorten_value
+from getagrip.io.options import Flag, OptionalFolder
+from getagrip.io.terminal import format_count
+from getagrip.readers.datasets import mano_tracks
+from getagrip.readers.datasets.cutting import ALL_KNOWN_FRAMES, CutSource, TrackedDataset
+from getagrip.readers.datasets.dataset import Note, Part
+from getagrip.readers.datasets.mano_tracks import check_mano_numbers
+from getagrip.readers.datasets.tracks import SequenceSource, Track, TrackPiece, check_length, intrinsics_from_opencv
+from getagrip.stable_grasps.definition import GraspOptions
+
+GRASPS_WITHIN_10_MM = GraspOptions(contact_mm=10.0)
+HO3D_IMAGE_SIZE_PX = (640, 480)
+"""Width and height of HO-3D's images [px]."""
+HO3D_FPS = 30.0
+R_CV_OPENGL = np.diag([1.0, -1.0, -1.0])
+"""From OpenGL's camera axes to this package's."""
+EVALUATION_SPLIT = "evaluation"
+MAX_WRIST_DISTANCE_M = 0.005
+"""Largest distance of the two wrists of a frame of the evaluation split [m]."""
+
+
+class Ho3dFrame(NamedTuple):
+    """The labels of one frame, in this package's axes."""
+
+    number: int
+    name: str
+    """Name of the object."""
+    T_cam_obj: Float[ndarray, "4 4"]
+    K: Float[ndarray, "3 3"]
+    joints: Float[ndarray, "21 3"]
+    pose: Float[ndarray, "48"]
+    """MANO's, and the next two; zeros where MANO is not used."""
+    translation: Float[ndarray, "3"]
+    shape: Float[ndarray, "10"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ho3d(TrackedDataset):
+    """HO-3D: every visible stable grasp."""
+
+    grasps: Annotated[GraspOptions, arg(name="")] = GRASPS_WITHIN_10_MM
+    """Definition of a stable grasp."""
+
+    meshes: mano_tracks.Models = None
+    """Folder of the YCB models."""
+    mano: OptionalFolder = None
+    """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl; without, the generic hand is fitted to the joints."""
+
+    def sources(self) -> list[SequenceSource]:
+        """List the sequences of HO-3D, all splits."""
+        models = mano_tracks.ycb_models_folder(self.root, self.meshes)
+        mano = None if self.mano is None else mano_tracks.mano_folder(self.mano, "HO-3D")
+        found = sorted({file.parent.parent for file in self.root.glob("*/*/meta/*.pkl")})
+        if not found:
+            raise InputError(self.root, "", "no <split>/<sequence>/meta/<frame>.pkl in it", "HO-3D's folder")
+        return [
+            SequenceSource(f"{f.parent.name}/{f.name}", partial(_read_ho3d_sequence, f, models, mano)) for f in found
+        ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ho3dEvaluation(Ho3d):
+    """HO-3D's evaluation split: a clip of each sequence, in all frames in which hand and object are known."""
+
+    whole: Flag = True
+
+    def sources(self) -> list[SequenceSource]:
+        """List the sequences of the evaluation split."""
+        for name in (f"{EVALUATION_SPLIT}.txt", f"{EVALUATION_SPLIT}_xyz.json"):
+            if not (self.root / name).is_file():
+                raise InputError(self.root, "", f"no {name} in it", "HO-3D's folder with the list of evaluated joints")
+        found = [one for one in super().sources() if one.name.startswith(f"{EVALUATION_SPLIT}/")]
+        if not found:
+            raise InputError(self.root, "", f"no {EVALUATION_SPLIT}/<sequence>/meta in it", "HO-3D's folder")
+        return found
+
+    def parts(self, note: Note) -> Sequence[Part]:
+        """List its sequences, with masks."""
+        return [CutSource(source, _uncut_pieces, 2) for source in self.sources()]
+
+
+def _uncut_pieces(tracks: Iterable[Track], note: Note) -> Iterator[TrackPiece]:
+    for track in tracks:
+        yield TrackPiece(track, track.name, ALL_KNOWN_FRAMES)
+
+
+def _read_ho3d_sequence(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator[Track]:
+    """Yield the object in the hand over a sequence."""
+    name = f"{folder.parent.name}/{folder.name}"
+    frames, unknown, joints = [], 0, {}
+    if (
+        folder.parent.name == EVALUATION_SPLIT
+        and (listed := folder.parent.parent / f"{EVALUATION_SPLIT}_xyz.json").is_file()
+    ):
+        joints, mano = _evaluation_joints(listed), None  # MANO's parameters are not public
+    files = sorted((folder / "meta").glob("*.pkl"))
+    check_length(folder, "meta", len(files))
+    for file in files:
+        frame = _read_ho3d_frame(file, mano is not None, joints.get(f"{folder.name}/{file.stem}"))
+        if frame is None:
+            unknown += 1
+        else:
+            frames.append(frame)
+    if unknown:
+        note(f"{name}: {format_count(unknown, 'frame')} without the pose of the hand or of the object: skipped")
+    if not frames:
+        return
+    grasped = frames[0].name
+    other = next((frame for frame in frames if frame.name != grasped or not np.allclose(frame.K, frames[0].K)), None)
+    if other is not None:
+        raise InputError(
+            folder / "meta" / f"{other.number:04d}.pkl", "objName or camMat", "another", "one per sequence"
+        )
+    mesh = mano_tracks.read_ycb_mesh(models, grasped)
+    letters = re.match(r"[A-Za-z]+", folder.name)
+    yield Track(
+        file=folder,
+        subject=letters[0] if letters else folder.name,
+        sequence=folder.name,
+        category=grasped,
+        side="right",
+        fps=HO3D_FPS,
+        numbers=np.array([frame.number for frame in frames]),
+        digits=4,
+        size=HO3D_IMAGE_SIZE_PX,
+        K=intrinsics_from_opencv(frames[0].K),
+        hand=_fit_generic_hand(folder, frames) if mano is None else _pose_mano_hand(mano, frames),
+        T_cam_obj=np.stack([frame.T_cam_obj for frame in frames]),
+        mesh=mesh,
+        provenance={
+            "source": f"HO-3D, {name}",
+            "licence": "made from HO-3D, for non-commercial research only",
+            "hands": "the generic hand, fitted to HO-3D's 21 joints over all frames: not the true surface"
+            if mano is None
+            else "HO-3D's MANO parameters (true), by the user's MANO files",
+            "camera": "HO-3D's",
+            "scale": "YCB mesh, true size",
+        },
+    )
+
+
+@cache
+def _evaluation_joints(listed: Path) -> dict[str, Float[ndarray, "21 3"]]:
+    """Read the joints of the evaluation split, by ``<sequence>/<frame>``."""
+    names = read_bytes(listed.with_name(f"{EVALUATION_SPLIT}.txt")).decode("utf-8", "replace").split()
+    joints = from_lists(read_any_json(listed))
+    if joints is None or joints.shape != (len(names), 21, 3) or joints.dtype.kind != "f":
+        got = "no array of numbers" if joints is None else f"an array of shape {joints.shape}"
+        raise InputError(listed, "", got, f"21 joints for each of the {len(names)} lines of {EVALUATION_SPLIT}.txt")
+    return dict(zip(names, joints, strict=True))
+
+
+def _read_ho3d_frame(file: Path, with_mano: bool, listed: Float[ndarray, "21 3"] | None) -> Ho3dFrame | None:
+    """Read the labels of a frame; None where the object or the hand is not known.
+
+    ``listed`` are its joints in the list of the evaluation split. Raises ``InputError`` where their wrist is another.
+    """
+    value = pickles.read_pickle_file(file, "the labels of a frame of HO-3D")
+    if not file.stem.isdigit():
+        raise InputError(file, "", f"the name {file.name!r}", "<number>.pkl")
+    rotation, joints = value.get("objRot", 0), value.get("handJoints3D", 0)
+    if listed is not None and isinstance(joints, ndarray) and joints.size == 3:
+        apart = float(np.linalg.norm(joints.reshape(3) - listed[0]))
+        if not apart <= MAX_WRIST_DISTANCE_M:
+            raise InputError(
+                file, "handJoints3D", f"a wrist {apart:.3g} m from the one in {EVALUATION_SPLIT}_xyz.json", "the same"
+            )
+        value = {**value, "handJoints3D": listed}
+        joints = listed
+    if rotation is None or joints is None or (isinstance(joints, ndarray) and joints.size == 3):
+        return None
+    name = value.get("objName")
+    if not isinstance(name, str) or not is_portable_name(name):
+        raise InputError(file, "objName", shorten_value(name), "the name of a YCB object")
+    T_cam_obj = se3.rigid(
+        R_CV_OPENGL @ se3.exp_so3(check_mano_numbers(file, value, "objRot", (3,))),
+        R_CV_OPENGL @ check_mano_numbers(file, value, "objTrans", (3,)),
+    )
+    K = check_mano_numbers(file, value, "camMat", (3, 3))
+    if not (K[0, 0] > 0 and K[1, 1] > 0 and np.all(K[2] == [0, 0, 1]) and K[0, 1] == 0):
+        raise InputError(file, "camMat", shorten_value(K.tolist()), "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    joints = check_mano_numbers(file, value, "handJoints3D", (21, 3)) @ R_CV_OPENGL
+    mano = (np.zeros(48), np.zeros(3), np.zeros(10))
+    if with_mano:
+        mano = (
+            check_mano_numbers(file, value, "handPose", (48,)),
+            check_mano_numbers(file, value, "handTrans", (3,)),
+            check_mano_numbers(file, value, "handBeta", (10,)),
+        )
+    return Ho3dFrame(int(file.stem), name, T_cam_obj, K, joints, *mano)
+
+
+def _fit_generic_hand(folder: Path, frames: list[Ho3dFrame]) -> HandTrack:
+    """Fit the generic hand, with one shape for all frames."""
+    try:
+        return fit_joints(generic.load("right"), np.stack([frame.joints for frame in frames]), "ho3d").hand
+    except UsageError as error:
+        raise InputError(folder / "meta", "handJoints3D", str(error), "the 21 joints of a hand") from error
+
+
+def _pose_mano_hand(mano: Path, frames: list[Ho3dFrame]) -> HandTrack:
+    """MANO's hand, of the shape that the sequence has."""
+    pose = np.stack([frame.pose for frame in frames])
+    return mano_tracks.mano_hand_track(
+        mano_tracks.load_mano_hand(mano, "right"),
+        pose[:, :3],
+        pose[:, 3:],
+        np.stack([frame.translation for frame in frames]),
+        frames[0].shape,
+        flat_hand_mean=True,
+        T_cam=se3.rigid(R_CV_OPENGL),
+    )

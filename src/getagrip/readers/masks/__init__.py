@@ -1,0 +1,1 @@
+"""Masks in other programs' files: images, arrays, polygons and run lengths."""

@@ -1,0 +1,235 @@
+"""Masks that are looked for in other programs' files: in which frames, of which labels; and their reader.
+
+The object, and what hides it, by the labels of images.
+
+Images are PNG: grey (1 to 16 bit), with a palette as SAM 2 and VOS benchmarks write them, or colour-coded. With alpha,
+what is transparent is background.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Int, Integer
+from numpy import ndarray
+
+from getagrip.clip.clip import FrameMasks
+from getagrip.clip.match_frames import (
+    MAX_NAMES_IN_ERROR,
+    check_frame_numbers,
+    matching_names,
+    rows_in_order,
+    rows_of_frames,
+    stem_of,
+)
+from getagrip.clip.read_arrays import check_shape
+from getagrip.errors import InputError, UsageError
+from getagrip.io import arrays, files
+from getagrip.io.images import open_png
+
+RESIZED_MASKS_NOTE = "masks of {} x {} pixels were resized to {} x {}, in images"
+MASK_ASPECT_TOLERANCE = 0.02
+"""Largest difference of a mask's shape from that of the images: sides are whole numbers."""
+MAX_MASK_PIXELS = 40_000_000
+
+
+def combine_hand_object_masks(
+    visible: Bool[ndarray, "H W"], hidden: Bool[ndarray, "H W"], hand: Bool[ndarray, "H W"] | None
+) -> FrameMasks:
+    """Combine the masks of a frame: the object's pixels take precedence, and the hand is ignored as well."""
+    if hand is None:
+        return FrameMasks(visible, hidden & ~visible)
+    return FrameMasks(visible, (hidden | hand) & ~visible, hand & ~visible)
+
+
+@dataclass(frozen=True)
+class MaskReader:
+    """The masks of a frame, by its index; None for a frame that has none. Calling it raises ``InputError``."""
+
+    source: Path
+    read: Callable[[int], FrameMasks]
+    known: Collection[int]
+    """The frames that have masks."""
+    others: set[str] = field(default_factory=set)
+    """Labels that were met so far in frames without the object, for an error about a label that is nowhere."""
+    unmet: set[str] = field(default_factory=set)
+    """Labels that were named, with their options, and not met so far."""
+    notes: dict[str, int] = field(default_factory=dict)
+    """Notes on how unusual content was read, with counts."""
+    warnings: tuple[str, ...] = ()
+    """Warnings about content that is probably not what was meant."""
+
+    def __call__(self, n: int) -> FrameMasks | None:
+        with arrays.convert_to_input_errors(self.source):
+            return self.read(n) if n in self.known else None
+
+
+@dataclass(frozen=True)
+class MaskRequest:
+    """A request for the masks of a clip's frames."""
+
+    frames: tuple[str, ...]
+    """Names, or numbers, of the frames."""
+    size: tuple[int, int]
+    """Width and height of the images [px]."""
+    object: tuple[str, ...] = ()
+    """Labels of the object; where none is named, there may be one only."""
+    ignore: tuple[str, ...] = ()
+    """Labels of what hides it."""
+    hand: tuple[str, ...] = ()
+    """Those of the things that are the grasping hand; it need not be among the others."""
+    ask_first: str = ""
+    """The option that states the number of the first frame's mask, where it was not used."""
+    counted: bool = False
+    """True if it was used: frames are numbered as the masks' files count them."""
+    images: str = ""
+    """Which of the images are meant, where there are several of a frame: a folder, or a pattern of their names."""
+    ask_images: str = "--images"
+    """The option that says so."""
+
+    stretched: bool = False
+    """True if masks of another shape than the images are these images', stretched."""
+
+    def check_size(self, path: Path, key: str, size: tuple[int, int]) -> tuple[int, int]:
+        """Return the width and height of a mask. Raises ``InputError`` for another shape than the images have."""
+        if min(size) > 0 and size[0] * size[1] > MAX_MASK_PIXELS:
+            raise InputError(path, key, f"{size[0]} x {size[1]} pixels", f"at most {MAX_MASK_PIXELS} pixels")
+        if not self.stretched or min(size) < 1:
+            try:
+                check_shape(path, key, size, self.size, MASK_ASPECT_TOLERANCE)
+            except InputError as error:
+                hint = "; --stretched takes them for the images, stretched (Roboflow's resize)"
+                raise InputError(path, key, error.got, f"{error.expected}{hint}") from error
+        return size
+
+    def resized(self, labels: Integer[ndarray, "h w"] | Bool[ndarray, "h w"], notes: Counter[str]) -> ndarray:
+        """Return a mask or labels at the images' size: of each pixel the nearest one's."""
+        (width, height), (h, w) = self.size, labels.shape
+        if (w, h) == self.size:
+            return labels
+        notes[RESIZED_MASKS_NOTE.format(w, h, width, height)] += 1
+        rows, columns = ((2 * np.arange(many) + 1) * few // (2 * many) for many, few in ((height, h), (width, w)))
+        return np.ascontiguousarray(labels[rows[:, None], columns])
+
+    def check_numbers(self, source: Path, names: Iterable[str]) -> None:
+        """Raise ``UsageError`` where masks seem to be counted from another start than frames."""
+        check_frame_numbers(self.frames, names, source, "mask", self.ask_first)
+
+    def places(self, source: Path, names: Sequence[str]) -> dict[int, int]:
+        """Match images to frames by their file names, for the frames that have one.
+
+        Raises ``UsageError`` where they seem to be counted from another start, and ``InputError`` where a frame has
+        two, or none has one.
+        """
+        self.check_numbers(source, [stem_of(names[row]) for row in matching_names(names, self.images)])
+        rows = rows_of_frames(names, self.frames, source, "mask", self.images, self.ask_images)
+        if not rows:
+            raise self.nothing(source, names)
+        return rows
+
+    def in_order(self, source: Path, count: int) -> dict[int, int]:
+        """Match masks without names to frames. Raises ``UsageError`` as ``naming.rows_in_order`` does."""
+        return rows_in_order(count, self.frames, source, "mask", self.counted, self.ask_first or "--first")
+
+    def nothing(self, source: Path, names: Sequence[str]) -> InputError:
+        """Make the error that there is no mask of any frame."""
+        some = ", ".join(map(files.printable, names[:2])) + (", ..." if len(names) > 2 else "")
+        got = f"no mask of any of {len(self.frames)} frames" + (f" among {some}" if names else "")
+        return InputError(source, "", got, f"masks named like the frames, as {files.printable(self.frames[0])}")
+
+
+ALPHA_NOTE = "the alpha channel was used as the mask, in images"
+MAX_LABEL_COLOURS = 64
+"""Most colours of an image of labels; an image with more is a photograph, cut out."""
+
+
+class LabelChoice:
+    """Picks the object and what hides it from labels."""
+
+    def __init__(self, request: MaskRequest) -> None:
+        """Parse the labels; raise ``UsageError`` for an unknown form."""
+        self.object = [parse_label(text, "--object") for text in request.object]
+        self.ignore = [parse_label(text, "--ignore") for text in request.ignore]
+        self.hand = [parse_label(text, "--hand") for text in request.hand]
+        self.only: int | None = None
+        self.others: set[str] = set()
+        named = {"--object": request.object, "--ignore": request.ignore, "--hand": request.hand}
+        self.unmet = {f"{option} {text}" for option, texts in named.items() for text in texts}
+
+    def _meet(self, labels: Int[ndarray, "H W"]) -> None:
+        """Note which of the labels that are named are in an image."""
+        for named in list(self.unmet):
+            if (labels == parse_label(named.split(" ", 1)[1], named)).any():
+                self.unmet.discard(named)
+
+    def __call__(self, path: Path, labels: Int[ndarray, "H W"]) -> FrameMasks:
+        """Split an image into masks; raise ``InputError`` where no label is named and there are several."""
+        self._meet(labels)
+        ignored = np.isin(labels, [*self.ignore, *self.hand])
+        hand = np.isin(labels, self.hand) if self.hand else None
+        if self.object:
+            visible = np.isin(labels, self.object)
+            if not visible.any() and len(self.others) < MAX_NAMES_IN_ERROR:
+                self.others.update(map(label_name, np.unique(labels)[:MAX_NAMES_IN_ERROR].tolist()))
+            return combine_hand_object_masks(visible, ignored, hand)
+        visible = (labels != 0) & ~ignored
+        there = np.unique(labels[visible])
+        self.only = int(there[0]) if self.only is None and there.size else self.only
+        if there.size > 1 or (there.size and there[0] != self.only):
+            some = ", ".join(map(label_name, np.union1d(there, [self.only or there[0]])[:MAX_NAMES_IN_ERROR].tolist()))
+            raise InputError(path, "labels", f"several, {some}", "one, or the object's named by --object")
+        return combine_hand_object_masks(visible, ignored, hand)
+
+
+def label_name(label: int) -> str:
+    return str(label) if label < 2**16 else f"#{label:06x}"
+
+
+def read_label_image(path: Path, size: tuple[int, int], notes: Counter[str] | None = None) -> Int[ndarray, "H W"]:
+    """Read the label of each pixel: a grey value, an index into the palette, or a colour as 0xRRGGBB.
+
+    Where alpha varies, what is transparent has the label 0, and what is not has its colour's; its alpha counts alone
+    where that is one colour, or too many for labels. ``notes`` counts the images in which it does. Sizes are checked
+    before memory is taken. Raises ``InputError``.
+    """
+    image, colours, bits = open_png(path, size)
+    if (colours == "grey and alpha" or colours.startswith("RGB")) and bits > 8:
+        raise InputError(path, "channels", f"{bits} bit {colours}", "grey, a palette, or colours of 8 bit")
+    values = np.asarray(image).astype(np.int64)
+    labels = values
+    if values.ndim == 3:
+        red, green, blue = np.moveaxis(values[..., :3], -1, 0) if values.shape[2] > 2 else (0, 0, values[..., 0])
+        labels = np.asarray(red << 16 | green << 8 | blue)
+    if colours.endswith("alpha"):
+        return _opaque_labels(labels, values[..., -1], Counter() if notes is None else notes)
+    spread = 255 // (2**bits - 1) if colours == "grey" and bits in (2, 4) else 1  # Pillow spreads these over 0 to 255
+    return labels // spread
+
+
+def _opaque_labels(labels: Int[ndarray, "H W"], alpha: Int[ndarray, "H W"], notes: Counter[str]) -> Int[ndarray, "H W"]:
+    """Return the labels of opaque pixels, by half of the largest alpha or more; 0 elsewhere."""
+    there = np.unique(labels)
+    if alpha.min() == alpha.max():
+        hidden = alpha.max() == 0 and (there.size == 1 or there.size > MAX_LABEL_COLOURS)
+        return np.zeros_like(labels) if hidden else labels
+    opaque = 2 * alpha >= alpha.max()
+    there = np.unique(labels[opaque])
+    if 1 < there.size <= MAX_LABEL_COLOURS:
+        return np.where(opaque, labels, 0)
+    notes[ALPHA_NOTE] += 1
+    return np.where(opaque, 255, 0)
+
+
+def parse_label(text: str, option: str) -> int:
+    """Parse a label of the command line: a whole number, or a colour as #rrggbb. Raises ``UsageError``."""
+    try:
+        value = int(text[1:], 16) if text.startswith("#") and len(text) == 7 else int(text)
+    except ValueError:
+        value = -1
+    if not 0 <= value < 2**24:
+        raise UsageError(f"{option} must be a label as 3, or a colour as #ff0000 (got {text!r})")
+    return value

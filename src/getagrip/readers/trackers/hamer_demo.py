@@ -1,0 +1,143 @@
+"""Files that the demos of HaMeR and WiLoR save: meshes (``--save_mesh``) and joints (HaMeR, ``--save_keypoints``).
+
+``<image>_<person>.obj`` has MANO's 778 vertices [m] before the camera that the demo assumes (5000 / 256 times the
+larger side of the image, its principal point in the middle), its axes turned to OpenGL's. Faces that close the wrist
+follow MANO's; in those of left hands the corners are in the other order, which is all that says which hand it is.
+
+``<image>_<person>_3dkeypoints.npy`` has the joints (n, 21, 3) of all hands of the batch of eight that this person is
+in, before the same camera. Left hands are as the network sees them, mirrored about MANO's origin; nothing says that.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.clip.match_frames import frame_of
+from getagrip.errors import InputError, MissingOptionError, UsageError
+from getagrip.geometry.mesh_files.obj import parse_obj
+from getagrip.hands.model import SIDE_MIRROR, Side
+from getagrip.io import arrays, files
+from getagrip.provenance import estimated
+from getagrip.readers.trackers import records
+from getagrip.readers.trackers.estimates import Estimate, Request, WeakPerspective, hamer_focal
+from getagrip.readers.trackers.read_hands import load_mano, mano_joints, network_model
+from getagrip.readers.trackers.tracker import unmatched_names_error
+
+DEMO_JOINTS_SUFFIX = "_3dkeypoints"
+DEMO_BATCH_SIZE = 8
+OPENGL_AXIS_SIGNS = np.array([1.0, -1.0, -1.0])
+WRIST_FACE = (92, 38, 234)
+"""One of the faces that close the wrist, of a right hand."""
+MANO_WRIST_M = np.array([0.0957, 0.0064, 0.0062])
+"""MANO's wrist joint in the mean right hand [m]."""
+MAX_DEMO_MESH_BYTES = 4 * 2**20
+DEMO_DEPTH_SOURCE = estimated(
+    "the demo's mesh or joints, its focal length (5000 / 256 times the larger side) divided out, the clip's put in"
+)
+
+
+@dataclass
+class SavedHand:
+    """The files of one hand in one frame."""
+
+    mesh: Path | None = None
+    joints: Path | None = None
+
+
+def is_demo_file(path: Path) -> bool:
+    """Return whether a file is such a mesh, or such joints."""
+    return path.suffix.lower() in {*records.RECORD_MESH_SUFFIXES, ".npy"}
+
+
+def demo_estimates(paths: Sequence[Path], request: Request, only: Side | None) -> Iterator[Estimate]:
+    """Yield the hands of the requested side.
+
+    ``only`` states which hand all joints without a mesh beside are of.
+
+    Raises ``InputError`` for damaged files, ``UsageError`` where there is too little to know the hand by.
+    """
+    found: dict[tuple[int, int], SavedHand] = {}
+    request.check_numbers(paths[0].parent, [path.stem.removesuffix(DEMO_JOINTS_SUFFIX) for path in paths])
+    for path in paths:
+        stem = path.stem.removesuffix(DEMO_JOINTS_SUFFIX)
+        numbered = re.search(r"_(\d{1,2})$", stem)
+        frame = frame_of(stem, request.frames)
+        if frame is not None:
+            saved = found.setdefault((frame, int(numbered[1]) if numbered else 0), SavedHand())
+            saved.mesh, saved.joints = (path, saved.joints) if path.suffix.lower() != ".npy" else (saved.mesh, path)
+    if not found:
+        raise unmatched_names_error(paths, paths[0].name, request)
+    for (frame, person), saved in sorted(found.items(), key=lambda item: item[0]):
+        hand = _estimate_saved_hand(saved, frame, person, request, only)
+        if hand is not None:
+            yield hand
+
+
+def _estimate_saved_hand(
+    saved: SavedHand, frame: int, person: int, request: Request, only: Side | None
+) -> Estimate | None:
+    """One hand before the clip's camera; None where it is the other one."""
+    model = load_mano(request.mano, "right")
+    root = MANO_WRIST_M if model is None else model.model.joints[0]
+    vertices, side = (None, only) if saved.mesh is None else _read_demo_mesh(saved.mesh)
+    if side is None:
+        raise UsageError(
+            f"{saved.joints}: which hand these joints are of is in no such file: run the demo with --save_mesh, too, "
+            "and give both; or state with --joints-of left or right that all are of this hand"
+        )
+    if side != request.side:
+        return None
+    if vertices is not None and request.mano is not None:
+        path, joints = saved.mesh, mano_joints(network_model(side, request.mano), vertices)
+        origin = joints[0] - (root if side == "right" else root * SIDE_MIRROR)
+    elif saved.joints is not None:
+        path, joints = saved.joints, _read_demo_joints(saved.joints, person)
+        origin, vertices = joints[0] - root, None
+        joints = joints if side == "right" else (joints - origin) * SIDE_MIRROR + origin
+    else:
+        raise MissingOptionError(
+            f"missing --mano: the folder of MANO_RIGHT.pkl: {saved.mesh} has no joints. "
+            "Or run HaMeR's demo with --save_keypoints, too, and give both"
+        )
+    assert path is not None
+    if not origin[2] > 0:
+        raise InputError(
+            path, "", f"a hand at the depth {origin[2]:.3g} m", "one before the camera, as the demo has it"
+        )
+    weak = WeakPerspective.of_translation(origin, hamer_focal(request.size), np.array(request.size) / 2.0)
+    shift = weak.before(request.camera(frame)) - origin
+    moved = None if vertices is None else vertices + shift
+    return Estimate(path, frame, DEMO_DEPTH_SOURCE, None, joints + shift, moved)
+
+
+def _read_demo_mesh(path: Path) -> tuple[Float[ndarray, "778 3"], Side]:
+    """Read the vertices before the demo's camera, and the hand's side. Raises ``InputError``."""
+    vertices, faces = parse_obj(path, files.read_bytes(path, MAX_DEMO_MESH_BYTES))
+    if vertices.shape != (778, 3):
+        raise InputError(path, "", f"{len(vertices)} vertices", "MANO's 778, as the demo saves them")
+    vertices = arrays.floats(path, {"v": vertices}, "v", (778, 3))
+    if np.abs(vertices).max() > records.MAX_RECORD_VALUE:
+        raise InputError(path, "v", f"the number {np.abs(vertices).max():.3g}", "plausible ones")
+    sides: dict[Side, tuple[int, ...]] = {"right": WRIST_FACE, "left": WRIST_FACE[::-1]}
+    for side, face in sides.items():
+        if any((np.roll(faces, n, axis=1) == face).all(axis=1).any() for n in range(3)):
+            return vertices * OPENGL_AXIS_SIGNS, side
+    expected = f"the face {WRIST_FACE} of the closed wrist, or its mirror image, which say which hand it is"
+    raise InputError(path, "f", f"{len(faces)} faces without it", expected)
+
+
+def _read_demo_joints(path: Path, person: int) -> Float[ndarray, "21 3"]:
+    """Read the joints of one person before the demo's camera, as the network sees them. Raises ``InputError``."""
+    rows = records.record_numbers(path, records.read_tracker_record(path), "joints", (-1, 21, 3))
+    if person % DEMO_BATCH_SIZE >= len(rows):
+        raise InputError(
+            path, "", f"{len(rows)} hands", f"at least {person % DEMO_BATCH_SIZE + 1}: it is named after hand {person}"
+        )
+    return rows[person % DEMO_BATCH_SIZE]

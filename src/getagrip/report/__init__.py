@@ -1,0 +1,1 @@
+"""Results as pages, pictures, films and notebook cells."""

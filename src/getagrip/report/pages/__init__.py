@@ -1,0 +1,6 @@
+"""Results as HTML pages: files that open from disk and ask for nothing else, and the served page of `getagrip view`."""
+
+from getagrip.report.pages.index_page import IndexRow, index_row, index_row_without_clip, write_index
+from getagrip.report.pages.result_page import write_page
+
+__all__ = ["IndexRow", "index_row", "index_row_without_clip", "write_index", "write_page"]

@@ -1,0 +1,178 @@
+"""Arrays of the 3D view: what is the same in all frames, and what each frame changes.
+
+Pictures in pages: JPEG, and contours over them as SVG draws them.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from getagrip.errors import GetagripError
+from getagrip.geometry.camera import Crops
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.rasterize import Surface
+from getagrip.report.pictures.contact_colours import CONTACT_BORDER_M, surface_distances
+from getagrip.report.pictures.panels import axis_points, crop_image, mask_contours, silhouette_lines, window_intrinsics
+from getagrip.report.pictures.result_view import View, candidate_view
+from getagrip.report.pictures.stills import smooth_track
+
+FRAME_PICTURE_PX, FRAME_JPEG_QUALITY = 480, 78
+"""Side [px] and JPEG quality of the images."""
+
+
+def draw_page_frame(view: View, n: int, crops: Crops, k: int) -> dict[str, object]:
+    """Draw frame ``n`` in window ``k``.
+
+    The image, and the contours of the object, the hands, the truth and the mask.
+    """
+    outlines = {"hand": _surfaces_outline(view.hands(n), view, n, crops, k)}
+    if view.posed:
+        outlines["object"] = object_outline(view, n, crops, k)
+    if not view.of_truth and (true := view.true()) is not None:
+        outlines["true"] = object_outline(true, n, crops, k)
+    if view.masks is not None:
+        lines = mask_contours(view.masks.object[n])
+        outlines["observed"] = svg_paths((line - crops.corner[k]) * crops.zoom for line in lines)
+    return {"picture": jpeg_base64(crop_image(view, n, crops, k), FRAME_JPEG_QUALITY), "outlines": outlines}
+
+
+def object_outline(view: View, n: int, crops: Crops, k: int) -> str:
+    """Return the contour of the posed object."""
+    return _surfaces_outline([(view.object(n), view.clip.mesh.faces)], view, n, crops, k)
+
+
+def _surfaces_outline(surfaces: Iterable[Surface], view: View, n: int, crops: Crops, k: int) -> str:
+    K = window_intrinsics(view, n, crops, k)
+    return "".join(svg_paths(silhouette_lines(*surface, K, crops.size)) for surface in surfaces)
+
+
+def jpeg_base64(picture: UInt8[ndarray, "H W 3"], quality: int) -> str:
+    """Encode an RGB picture as JPEG, in base64."""
+    done, content = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not done:
+        raise GetagripError(f"a picture of {picture.shape[1]}x{picture.shape[0]} px could not be written as JPEG")
+    return base64.b64encode(content.tobytes()).decode("ascii")
+
+
+def svg_paths(lines: Iterable[Float[ndarray, "_n 2"]]) -> str:
+    """Write closed lines as SVG paths, without points that hardly change them."""
+    out = []
+    for line in lines:
+        kept = cv2.approxPolyDP(line.astype(np.float32)[:, None], 0.3, closed=True)[:, 0]
+        out.append("M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in kept) + "Z")
+    return "".join(out)
+
+
+DEFAULT_CONTACT_DISTANCE_M, MAX_CONTACT_SLIDER_M = 0.010, 0.020
+"""Distance of surfaces that counts as contact at first, and the largest that can be chosen [m]."""
+MAX_EXACT_DISTANCE_M = MAX_CONTACT_SLIDER_M + CONTACT_BORDER_M
+"""Distances are exact up to here; contact fades over ``CONTACT_BORDER_M`` to both sides of the one chosen [m]."""
+FOCUS_SMOOTHING_S = 0.35
+"""The camera looks at the mean place of hand and object over this time [s]."""
+
+
+def constant_arrays(view: View, surface: Mesh) -> dict[str, ndarray]:
+    """Return arrays by their names, as ``parts/viewer.js`` reads them.
+
+    Metres, and poses as 4x4 matrices, of all frames.
+
+    ``object_vertices`` are of the mesh as it is, to be scaled by ``scale``, one for each candidate, as ``T_hand_obj``
+    and ``axis`` are. ``other_hand_known`` is 1 in the frames of the other hand. ``focus`` is where to look, in the
+    camera frame of each image. ``extent`` is the diameter of hands and object together, about.
+    """
+    clip, result = view.clip, view.result
+    hands = [np.mean([vertices.mean(axis=0) for vertices, _ in view.hands(n)], axis=0) for n in range(len(clip))]
+    middles = [
+        (hand + _bounding_box_centre(view.object(n))) / 2.0 if view.posed else hand for n, hand in enumerate(hands)
+    ]
+    out: dict[str, ndarray] = {
+        "hand_faces": clip.hand.faces,
+        "T_cam_hand": clip.hand.T_cam_hand,
+        "T_hand_obj": result.candidates.T_hand_obj,
+        "scale": result.candidates.scale,
+        "focus": smooth_track(np.array(middles), FOCUS_SMOOTHING_S * clip.fps),
+        "extent": np.array([_scene_extent(view)]),
+    }
+    if view.posed:
+        out |= {"object_vertices": surface.vertices, "object_faces": surface.faces}
+    if (other := clip.other_hand) is not None:
+        out |= {"other_hand_faces": other.track.faces, "other_hand_known": other.known}
+        out["T_cam_other_hand"] = other.track.T_cam_hand
+    if result.axis is not None:
+        each = [candidate_view(view, rank) for rank in range(len(result.candidates.scale))]
+        out["axis"] = np.stack([_axis_endpoints(one) for one in each])
+    if clip.world is not None:
+        out["T_world_cam"] = clip.world.T_world_cam
+        if clip.world.up is not None:
+            out["world_up"] = clip.world.up
+    if clip.truth is not None and not view.of_truth:
+        out |= {"true_T_cam_obj": clip.truth.T_cam_obj, "true_scale": np.array([clip.truth.scale])}
+        out["true_T_cam_hand"] = clip.truth.T_cam_hand
+    return {name: _compact_dtype(name, values) for name, values in out.items()}
+
+
+def per_frame_arrays(view: View, surface: Mesh) -> dict[str, ndarray]:
+    """Return arrays with one block for each frame: hands in their own frames, and the closeness of the surfaces.
+
+    ``object_near``, ``hand_near`` and ``other_hand_near`` go from 0, at ``MAX_EXACT_DISTANCE_M`` or farther, to 1, touching or inside.
+    """
+    hand, other, truth = view.clip.hand, view.clip.other_hand, view.clip.truth
+    out: dict[str, ndarray] = {"hand_vertices": hand.vertices}
+    if view.posed:
+        on_object, out["hand_near"] = (
+            _closeness(values) for values in surface_distances(view, surface, MAX_EXACT_DISTANCE_M)
+        )
+        if other is not None:
+            out["other_hand_near"] = np.zeros(other.track.vertices.shape[:2])
+            if (seen := view.by_other_hand()) is not None:
+                by_other, out["other_hand_near"][other.known] = (
+                    _closeness(d) for d in surface_distances(seen, surface, MAX_EXACT_DISTANCE_M)
+                )
+                on_object[other.known] = np.maximum(on_object[other.known], by_other)
+        out["object_near"] = on_object
+    if other is not None:
+        out["other_hand_vertices"] = other.track.vertices
+    if truth is not None and not np.array_equal(truth.hand_vertices, hand.vertices):
+        out["true_hand_vertices"] = truth.hand_vertices
+    return {name: _compact_dtype(name, values) for name, values in out.items()}
+
+
+def _scene_extent(view: View) -> float:
+    """Diameter of hands and object together, in nine of ten frames; of two hands, those that have both."""
+    shown = [(len(view.hands(n)), n) for n in range(len(view.clip))]
+    most = max(shown)[0]
+    sizes = []
+    for n in [n for count, n in shown if count == most]:
+        around = [*(vertices for vertices, _ in view.hands(n)), *([view.object(n)] if view.posed else [])]
+        sizes.append(np.linalg.norm(np.ptp(np.concatenate(around), axis=0)))
+    return float(np.quantile(sizes, 0.9))
+
+
+def _closeness(distance: Float[ndarray, "T V"]) -> Float[ndarray, "T V"]:
+    return np.clip(1.0 - distance / MAX_EXACT_DISTANCE_M, 0.0, 1.0)
+
+
+def _axis_endpoints(view: View) -> Float[ndarray, "2 3"]:
+    """Return the ends of the latent axis in the hand frame; NaN where it is not known."""
+    return np.full((2, 3), np.nan) if view.result.axis is None else axis_points(view)[[0, -1]]
+
+
+def _bounding_box_centre(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "3"]:
+    return np.asarray((vertices.min(axis=0) + vertices.max(axis=0)) / 2.0)
+
+
+def _compact_dtype(name: str, values: ndarray) -> ndarray:
+    """Values in the smallest of a page's types that will do."""
+    if name.endswith("_near"):
+        return np.round(255.0 * values).astype(np.uint8)
+    if name.endswith("_known"):
+        return values.astype(np.uint8)
+    if name.endswith("_faces"):
+        return values.astype(np.uint16 if values.max(initial=0) < 2**16 else np.uint32)
+    return values.astype(np.float32)

@@ -1,0 +1,204 @@
+"""The view that pictures show: a result with its clip and masks, another candidate in its place, its curves."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.clip import Clip, Masks, Segment
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh, diameter
+from getagrip.geometry.rasterize import Surface
+from getagrip.result import Axis, Reconstruction
+from getagrip.stable_grasps.axis import pose_hinge
+
+
+@dataclass(frozen=True)
+class View:
+    """A result with its clip and masks at the result's frames.
+
+    The clip's hand has the result's poses, and its mesh the result's shape.
+    """
+
+    clip: Clip
+    masks: Masks | None
+    result: Reconstruction
+    input_mesh: Mesh | None = None
+    """The mesh as it was given, which the ground truth poses; None where it is the clip's."""
+    of_truth: bool = False
+    """True if the result is the clip's ground truth, given its form (``true_view``)."""
+    posed: bool = True
+    """True if the object's poses are known; else there is the hand alone (``hand_alone``)."""
+    frame_meshes: Sequence[Mesh | None] | None = None
+    """A mesh for each frame, in the hand frame [m], of a system without a CAD model; it counts instead of the poses."""
+
+    @property
+    def frames_in_words(self) -> str:
+        """How many frames there are and, where they differ, how their poses were found."""
+        counts = Counter(self.result.frame_kind)
+        kinds = ", ".join(f"{count} {kind}" for kind, count in counts.most_common())
+        return f"{len(self.result.frames)} frames" + (f" ({kinds})" if len(counts) > 1 else "")
+
+    @property
+    def size_in_words(self) -> list[str]:
+        """Knowledge and assumptions about the object's size and shape."""
+        size = f"scale {self.result.scale:.3f} is a guess" if self.clip.scale == "free" else "scale known"
+        hand = [f"hand scaled by {self.result.hand_scale:.3f}"] * (self.result.hand_scale != 1.0)
+        return [size, *hand, *["shape is a guess"] * (self.result.warp is not None)]
+
+    def called(self, segment: Segment) -> tuple[str, ...]:
+        """Return the name of a segment, and a short one."""
+        words = segment.state if segment.side is None else f"{segment.state}, {segment.side} hand"
+        followed = {segment.first for segment in self.result.segments if segment.by_masks}
+        by_masks = self.clip.frames[segment.first] in followed
+        return (f"{words}, by masks only",) if by_masks else (words, segment.state)
+
+    def hand(self, n: int) -> Float[ndarray, "V 3"]:
+        """Return the hand in the camera frame [m]."""
+        return se3.transform(self.clip.hand.T_cam_hand[n], self.clip.hand.vertices[n])
+
+    def hands(self, n: int) -> list[Surface]:
+        """Return the hands in the camera frame.
+
+        These are the clip's own, and the other one in the frames in which it is known.
+        """
+        other = self.clip.other_hand
+        shown = [(self.hand(n), self.clip.hand.faces)]
+        if other is not None and other.known[n]:
+            shown.append((se3.transform(other.track.T_cam_hand[n], other.track.vertices[n]), other.track.faces))
+        return shown
+
+    def by_other_hand(self) -> View | None:
+        """Return the view with the other hand for the clip's own, in the frames in which it is known.
+
+        None without any.
+        """
+        seen = self.clip.with_side(self.clip.other_side)
+        known = np.flatnonzero(self.clip.hand_known(self.clip.other_side))
+        if seen is None or not len(known):
+            return None
+        T_hand_obj = se3.inverse(seen.hand.T_cam_hand) @ self.clip.hand.T_cam_hand @ self.result.T_hand_obj
+        result = replace(self.result, T_hand_obj=T_hand_obj, T_cam_hand=None, T_cam_other_hand=None, axis=None)
+        return replace(self, clip=seen, result=result).at([self.result.frames[n] for n in known])
+
+    def object(self, n: int) -> Float[ndarray, "V 3"]:
+        """Return the reconstructed object in the camera frame [m]."""
+        T_cam_obj = self.clip.hand.T_cam_hand[n] @ self.result.T_hand_obj[n]
+        return se3.transform(T_cam_obj, self.result.scale * self.clip.mesh.vertices)
+
+    def surface(self, n: int) -> Surface:
+        """Return the object in the camera frame [m]; an empty surface where the frame has no mesh."""
+        if self.frame_meshes is None:
+            return self.object(n), self.clip.mesh.faces
+        if (mesh := self.frame_meshes[n]) is None:
+            return np.zeros((0, 3)), np.zeros((0, 3), dtype=int)
+        return se3.transform(self.clip.hand.T_cam_hand[n], mesh.vertices), mesh.faces
+
+    @staticmethod
+    def of(result: Reconstruction, clip: Clip, masks: Masks | None) -> View:
+        """Make the view of a result with a clip and masks at its frames, its hand and mesh as they are to be drawn."""
+        light = clip.light()
+        seen = light.warped(result.warp).with_hand_at(result.T_cam_hand, result.T_cam_other_hand, result.hand_scale)
+        return View(seen, masks, result, light.mesh)
+
+    def image_file(self, n: int) -> Path | None:
+        """Return the frame's image, where the clip has one."""
+        return self.clip.image_file(n)
+
+    def at(self, frames: Sequence[str]) -> View:
+        """Return the view at some of the result's frames, in the given order."""
+        place = {name: n for n, name in enumerate(self.result.frames)}
+        index = np.array([place[name] for name in frames])
+        result, axis = self.result, self.result.axis
+        taken = replace(
+            result,
+            frames=tuple(frames),
+            T_hand_obj=result.T_hand_obj[index],
+            T_cam_hand=None if result.T_cam_hand is None else result.T_cam_hand[index],
+            T_cam_other_hand=None if result.T_cam_other_hand is None else result.T_cam_other_hand[index],
+            iou=result.iou[index],
+            frame_kind=tuple(result.frame_kind[n] for n in index),
+            axis=None if axis is None else replace(axis, angle=axis.angle[index]),
+            candidates=replace(result.candidates, T_hand_obj=result.candidates.T_hand_obj[:, index]),
+        )
+        masks = None if self.masks is None else self.masks.take(index)
+        meshes = None if self.frame_meshes is None else [self.frame_meshes[n] for n in index]
+        return replace(self, clip=self.clip.take(index), masks=masks, result=taken, frame_meshes=meshes)
+
+    def true(self) -> View | None:
+        """Return the ground truth in place of the result; None where it is not known."""
+        truth = self.clip.truth
+        if truth is None:
+            return None
+        T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
+        hand = replace(self.clip.hand, vertices=truth.hand_vertices, T_cam_hand=truth.T_cam_hand)
+        result = replace(self.result, T_hand_obj=T_hand_obj, T_cam_hand=None, scale=truth.scale, axis=None, findings=())
+        clip = replace(self.clip, hand=hand, mesh=self.input_mesh or self.clip.mesh)
+        return View(clip, self.masks, replace(result, warp=None))
+
+
+def candidate_view(view: View, rank: int) -> View:
+    """Return the result for rank 0; else the candidate, with the axis that fits its poses best, and without an IOU."""
+    if rank == 0:
+        return view
+    found = view.result
+    T_hand_obj, scale = found.candidates.T_hand_obj[rank], float(found.candidates.scale[rank])
+    axis = None if found.axis is None else fit_hinge_axis(T_hand_obj, scale * view.clip.mesh.vertices)
+    other = replace(
+        found, T_hand_obj=T_hand_obj, scale=scale, iou=np.full(len(found.frames), np.nan), axis=axis,
+        findings=(), probability_right=None, probability_right_in_camera=None,
+    )  # fmt: skip
+    return replace(view, result=other)
+
+
+def fit_hinge_axis(T_hand_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"]) -> Axis | None:
+    """Fit the axis about which poses turn best (Eq. 4), with the angles from the first frame on.
+
+    None for a single pose.
+    """
+    if len(T_hand_obj) < 2:
+        return None
+    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
+    R, c = T_hand_obj[:, :3, :3], se3.transform(T_hand_obj, centre[None])[:, 0]
+    best = pose_hinge(R, c, diameter(vertices) / 2.0)
+    angle = np.unwrap(best.angles(R, c))
+    return Axis(point=best.point, direction=best.direction, angle=angle - angle[0])
+
+
+@dataclass(frozen=True, eq=False)
+class AngleCurve:
+    """An angle of the object in each of T frames [rad], of the result and, where it is known, of the ground truth."""
+
+    title: str
+    """Name of the angle."""
+    found: Float[ndarray, "T"]
+    true: Float[ndarray, "T"] | None
+
+
+def result_times(view: View) -> Float[ndarray, "T"]:
+    """Return the times of the frames since the first."""
+    times = view.clip.time[view.clip.index_of(view.result.frames)]
+    return np.asarray(times - times[0])
+
+
+def angle_curve(view: View) -> AngleCurve:
+    """Return the angle about the axis, less its mean; or, without an axis, of the rotation since the first frame."""
+    result, truth = view.result, view.clip.truth
+    true = None if truth is None else (se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj)[:, :3, :3]
+    if result.axis is None:
+        R = result.T_hand_obj[:, :3, :3]
+        turned = [None if r is None else se3.angle_between(r[:1], r) for r in (R, true)]
+        assert turned[0] is not None
+        which = "" if view.clip.other_hand is None else f"{view.clip.side} "
+        return AngleCurve(f"rotation in the {which}hand since the start", turned[0], turned[1])
+    found, about = result.axis.angle - result.axis.angle.mean(), None
+    if true is not None:
+        about = se3.log_so3(true @ true[0].T) @ result.axis.direction
+        about -= about.mean()
+    return AngleCurve("angle of the object about the axis", found, about)

@@ -1,0 +1,147 @@
+"""How probable it is that a result is right, as results hold it (docs/checks.md).
+
+Findings of the checks: unusual properties of a clip or a result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from getagrip.errors import InputError, escape_unprintable
+from getagrip.io.files import Json, shorten_value
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An unusual property of a clip or a result that a check found (docs/checks.md).
+
+    Attributes:
+        check: name of the check.
+        serious: whether the result is probably worthless.
+        value: what was measured.
+        limit: the limit that it is beyond.
+        message: what is wrong and what to do, in words.
+    """
+
+    check: str
+    serious: bool
+    value: float
+    limit: float
+    message: str
+
+    def __str__(self) -> str:
+        return escape_unprintable(f"{'serious' if self.serious else 'note'}: {self.check}: {self.message}")
+
+
+FINDING_FIELD_TYPES: dict[str, tuple[type, ...]] = {
+    "check": (str,), "serious": (bool,), "value": (int, float), "limit": (int, float), "message": (str,),
+}  # fmt: skip
+
+
+def read_findings(path: Path, value: Sequence[Json]) -> tuple[Finding, ...]:
+    """Read the findings of a ``result.json``. Raises ``InputError``."""
+    for n, item in enumerate(value):
+        if not isinstance(item, dict) or not all(
+            isinstance(item.get(key), kind) for key, kind in FINDING_FIELD_TYPES.items()
+        ):
+            raise InputError(
+                path, f"findings[{n}]", shorten_value(item), f"an object with {', '.join(FINDING_FIELD_TYPES)}"
+            )
+    return tuple(Finding(**{key: item[key] for key in FINDING_FIELD_TYPES}) for item in value)
+
+
+def read_checks(path: Path, entry: Mapping[str, object], key: str = "checks") -> dict[str, float]:
+    """Read measured values by name, as the ``key`` of a ``result.json`` has them; NaN for null.
+
+    Raises ``InputError``.
+    """
+    out = {}
+    for name, value in entry.items():
+        if isinstance(value, bool) or not isinstance(value, int | float | None):
+            raise InputError(path, f"{key}.{shorten_value(name)}", shorten_value(value), "a number, or null")
+        out[name] = float("nan") if value is None else float(value)
+    return out
+
+
+SUCCESS_DEFINITION = "right if the mean vertex distance is below 10 % of the diameter"
+"""The meaning, in short, where a probability is shown; ``Probability.meaning`` says it at length."""
+
+CANDIDATE_SET_COVERAGE = 0.9
+"""Probability with which a result's set of candidates holds the right one."""
+MIN_SHOWN_PROBABILITY = 0.01
+"""Nearer to 0 or 1 than this, no number is shown: the calibration does not tell them apart."""
+ASSUMED_MESH = "assumed mesh"
+"""In ``beyond`` of a result whose mesh is not its object's."""
+MIN_PLAUSIBLE_PROBABILITY = 0.015
+"""Probability from which on a result with an assumed mesh probably looks right (docs/draft.md)."""
+
+
+@dataclass(frozen=True)
+class Probability:
+    """A calibrated probability, from what is known without ground truth.
+
+    Attributes:
+        value: of the results with such a value, this share is right.
+        meaning: what "right" is, and on what the value was calibrated.
+        beyond: names of signs (``checks.features``) that are worse than nearly all of them were there, and of inputs that
+            were exact there: an extrapolation.
+        keep: of results that are at least as probable, at least this share is right (``checks.calibration``); 0: unknown.
+        candidates: number of first candidates that hold the right one with ``CANDIDATE_SET_COVERAGE``; 0: all of them may not.
+    """
+
+    value: float
+    meaning: str
+    beyond: tuple[str, ...] = ()
+    keep: float = 0.0
+    candidates: int = 0
+
+    @property
+    def keeping(self) -> str:
+        """Say for which share of right results it is kept, and how many candidates hold the right one, if known."""
+        kept = f"; kept where {100.0 * self.keep:.3g} % are to be right" if self.keep else ""
+        held = f"; {self.candidates} candidates hold the right one" if self.candidates > 1 else ""
+        return kept + held
+
+    @property
+    def by_eye(self) -> str:
+        """Say how a result with an assumed mesh probably looks; empty for others.
+
+        Such a result is rarely within 10 % of the diameter.
+        """
+        if ASSUMED_MESH not in self.beyond:
+            return ""
+        return f"probably looks {'right' if self.value >= MIN_PLAUSIBLE_PROBABILITY else 'wrong'}"
+
+    def __str__(self) -> str:
+        return format_probability(self.value) + (f" (extrapolated: {', '.join(self.beyond)})" if self.beyond else "")
+
+
+def format_probability(value: float) -> str:
+    """Write a probability, 0 to 1, as a percentage: never 0 % or 100 %."""
+    if value < MIN_SHOWN_PROBABILITY or value > 1.0 - MIN_SHOWN_PROBABILITY:
+        return "< 1 %" if value < MIN_SHOWN_PROBABILITY else "> 99 %"
+    return f"{100.0 * value:.0f} %"
+
+
+PROBABILITY_FIELDS: dict[str, tuple[type, ...]] = {"value": (int, float), "meaning": (str,), "beyond": (list,)}
+
+
+def read_probability(path: Path, value: object, key: str = "probability_right") -> Probability | None:
+    """Read the probability under a key of a ``result.json``; None for null. Raises ``InputError``."""
+    if value is None:
+        return None
+    if (
+        not isinstance(value, dict)
+        or not all(isinstance(value.get(part), kind) for part, kind in PROBABILITY_FIELDS.items())
+        or isinstance(value["value"], bool)
+        or not all(isinstance(name, str) for name in value["beyond"])
+    ):
+        raise InputError(path, key, shorten_value(value), f"an object with {', '.join(PROBABILITY_FIELDS)}, or null")
+    if not 0.0 <= value["value"] <= 1.0:
+        raise InputError(path, f"{key}.value", shorten_value(value["value"]), "0 to 1")
+    more = value.get("keep", 0.0), value.get("candidates", 0)  # absent in older results
+    if not all(isinstance(one, int | float) and not isinstance(one, bool) for one in more) or not 0.0 <= more[0] <= 1.0:
+        raise InputError(path, f"{key}.keep", shorten_value(more), "0 to 1, and a number of candidates")
+    return Probability(float(value["value"]), value["meaning"], tuple(value["beyond"]), float(more[0]), int(more[1]))

@@ -1,0 +1,228 @@
+"""The visible pixels of a hand, from its landmarks and the colours about them.
+
+Pixels of capsules along the bones are certainly the hand if they have the palm's colour (a finger behind the object has
+another). Pixels near the capsules, and the forearm behind the wrist, are possibly the hand, unless they have much less
+colour than the palm and are not overexposed; all others are background. GrabCut (Rother et al., SIGGRAPH 2004) decides
+the possible ones by colours and edges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int32, UInt8
+from numpy import ndarray
+
+from getagrip.studio.hands.hand_tracking import PALM_LANDMARKS
+
+MAX_GRABCUT_PX = 320
+"""Largest side of the image that GrabCut runs on [px]."""
+CERTAIN_BONE_RADIUS, POSSIBLE_BONE_RADIUS = 0.055, 0.17
+"""Radii about bones, in sizes of the hand."""
+PALM_BONE_RADIUS = 0.25
+"""The larger radius about the bones of the palm, which is thick where it is seen from its side."""
+FOREARM_SIZE = (1.6, 0.34)
+"""Length and half width of the forearm, in sizes of the hand."""
+SKIN_SIGMAS, NON_SKIN_SIGMAS = 3.5, 8.0
+"""Robust standard deviations from the palm's colour beyond which a pixel is no longer certainly the hand, and beyond
+which it is certainly not."""
+MIN_COLOUR_PIXELS = 20
+"""Number of pixels that is enough to estimate the colour of the palm, the thumb, the wrist or the fingers."""
+SKIN_LAB_DISTANCE, NON_SKIN_LAB_DISTANCE = 8.0, 10.0
+"""Distances of Lab's two colours within which thumb and wrist, or fingers, are alike, and from which on the palm is
+unlike them: an object is before it."""
+WRIST_LENGTH_RATIO = 0.25
+"""Length of the wrist, in lengths of the palm."""
+MIN_SKIN_COLOUR_SPREAD = 6.0
+"""Least spread of the palm's colours [of 255]."""
+MIN_SHADOW_LIGHTNESS_SPREAD, MIN_SHADOW_CHROMA_RATIO = 20.0, 0.5
+"""Least spread of lightness along bones, where fingers may be in shadow [of 255], for pixels of at least this share of
+the palm's colour: grey has none."""
+LAB_GREY = 128.0
+"""Lab's two colours of grey, as OpenCV has them."""
+MIN_SKIN_CHROMA_RATIO, MIN_PALM_CHROMA, OVEREXPOSURE_THRESHOLD = 0.3, 9.0, 245.0
+"""Pixels with less than the first share of the palm's colour are not the hand, if this colour differs from grey by more
+than the second. Where a channel is at least the third [of 255], overexposed skin loses its colour: such pixels are
+probably the hand."""
+N_SKIN_GRABCUT_ITERATIONS = 3
+THUMB_LANDMARKS, KNUCKLE_LANDMARKS = [1, 2, 3, 4], [5, 9, 13, 17]
+THUMB_WEB_LANDMARKS = [0, 1, 2, 3, 5, 6]
+"""The skin between thumb and index finger is within these."""
+LANDMARK_BONES = [
+    (0, 1),
+    *((a, a + 1) for k in range(5) for a in range(1 + 4 * k, 4 + 4 * k)),
+    (0, 5),
+    (0, 9),
+    (0, 13),
+    (0, 17),
+]
+
+
+def hand_mask(
+    image: UInt8[ndarray, "H W 3"], points: Float[ndarray, "21 2"], other: Bool[ndarray, "H W"] | None = None
+) -> Bool[ndarray, "H W"]:
+    """Segment the visible pixels of a hand with these landmarks [px].
+
+    ``other``: pixels that are known to be of something else.
+    """
+    import cv2
+
+    height, width = image.shape[:2]
+    size = _hand_size_px(points)
+    arm = _forearm_polygon(points, size)
+    around = np.concatenate([points, arm])
+    low = np.clip(np.floor(around.min(axis=0) - 0.5 * size), 0, [width - 1, height - 1]).astype(int)
+    high = np.clip(np.ceil(around.max(axis=0) + 0.5 * size), low + 1, [width, height]).astype(int)
+    out = np.zeros((height, width), dtype=bool)
+    scale = min(1.0, MAX_GRABCUT_PX / float((high - low).max()))
+    small = tuple(int(n) for n in np.maximum(1, np.round((high - low) * scale)))
+    window = (slice(low[1], high[1]), slice(low[0], high[0]))
+    colours = np.asarray(cv2.resize(image[window], small, interpolation=cv2.INTER_AREA), np.uint8)
+    not_hand = np.zeros(small[::-1], dtype=bool)
+    if other is not None:
+        not_hand = cv2.resize(other[window].astype(np.uint8), small, interpolation=cv2.INTER_NEAREST) > 0
+    labels = _grabcut_labels(colours, (points - low) * scale, (arm - low) * scale, size * scale, not_hand)
+    if (labels == cv2.GC_FGD).sum() < 10 or (labels == cv2.GC_BGD).sum() < 10:
+        return out
+    cv2.setRNGSeed(0)
+    cv2.grabCut(
+        colours,
+        labels,
+        (0, 0, 0, 0),
+        np.zeros((1, 65)),
+        np.zeros((1, 65)),
+        N_SKIN_GRABCUT_ITERATIONS,
+        cv2.GC_INIT_WITH_MASK,
+    )
+    found = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
+    whole = _remove_small_components(found)
+    large = cv2.resize(whole.astype(np.float32), tuple((high - low).tolist()), interpolation=cv2.INTER_LINEAR)
+    out[window] = large > 0.5
+    return out if other is None else out & ~other
+
+
+def _hand_size_px(points: Float[ndarray, "21 2"]) -> float:
+    """Measure the size of the hand [px]: the longest distance on the palm, which is not short from any view."""
+    palm = points[PALM_LANDMARKS]
+    return max(float(np.linalg.norm(palm[:, None] - palm, axis=-1).max()), 4.0)
+
+
+def _forearm_polygon(points: Float[ndarray, "21 2"], size: float) -> Float[ndarray, "4 2"]:
+    """Corners of the area in which the forearm may be."""
+    back = points[0] - points[[5, 9, 13, 17]].mean(axis=0)
+    back = back / max(float(np.linalg.norm(back)), 1e-6)
+    across = np.array([-back[1], back[0]]) * FOREARM_SIZE[1] * size
+    far = points[0] + FOREARM_SIZE[0] * size * back
+    return np.array([points[0] - across, points[0] + across, far + 1.4 * across, far - 1.4 * across])
+
+
+def _grabcut_labels(
+    colours: UInt8[ndarray, "h w 3"],
+    points: Float[ndarray, "21 2"],
+    arm: Float[ndarray, "4 2"],
+    size: float,
+    not_hand: Bool[ndarray, "h w"],
+) -> UInt8[ndarray, "h w"]:
+    """Make GrabCut's label of each pixel."""
+    import cv2
+
+    maybe = _draw_bones(colours.shape[:2], points, POSSIBLE_BONE_RADIUS * size)
+    for knuckle in (1, *KNUCKLE_LANDMARKS):
+        maybe |= _draw_thick_lines(colours.shape[:2], points[[0, knuckle]], PALM_BONE_RADIUS * size)
+    for region in (points[PALM_LANDMARKS], points[THUMB_WEB_LANDMARKS], arm):
+        cv2.fillConvexPoly(maybe, _round_to_pixels(cv2.convexHull(region.astype(np.float32))[:, 0]), 1)
+    palm = np.zeros_like(maybe)
+    cv2.fillConvexPoly(palm, _round_to_pixels(cv2.convexHull(points[PALM_LANDMARKS].astype(np.float32))[:, 0]), 1)
+    palm = cv2.erode(palm, np.ones((3, 3), np.uint8), iterations=max(1, round(0.05 * size)))
+    sure = (_draw_bones(colours.shape[:2], points, CERTAIN_BONE_RADIUS * size) | palm).astype(bool) & ~not_hand
+    lab = cv2.cvtColor(colours, cv2.COLOR_RGB2LAB).astype(float)
+    shown = _skin_pixels(lab, points, size, palm.astype(bool) & ~not_hand, ~not_hand)
+    skin = lab[shown] if shown.sum() >= MIN_COLOUR_PIXELS else lab[sure]
+    off, in_shadow = _skin_colour_distance(lab, skin), _skin_colour_distance(lab, skin, MIN_SHADOW_LIGHTNESS_SPREAD)
+    colour, own = lab[..., 1:] - LAB_GREY, np.median(skin, axis=0)[1:] - LAB_GREY if len(skin) else np.zeros(2)
+    along, whole = colour @ own, own @ own
+    coloured = along > MIN_SHADOW_CHROMA_RATIO * whole
+    glare = (colours.max(axis=-1) >= OVEREXPOSURE_THRESHOLD) & ~coloured
+    pale = (along < MIN_SKIN_CHROMA_RATIO * whole) & (whole > MIN_PALM_CHROMA**2) & ~glare
+    labels = np.full(colours.shape[:2], cv2.GC_BGD, np.uint8)
+    possible = (maybe > 0) & ~not_hand & ~pale & ((off < NON_SKIN_SIGMAS) | coloured)
+    labels[possible] = cv2.GC_PR_BGD
+    labels[possible & ((off < SKIN_SIGMAS) | glare)] = cv2.GC_PR_FGD
+    labels[possible & sure & ((off < SKIN_SIGMAS) | coloured & (in_shadow < SKIN_SIGMAS))] = cv2.GC_FGD
+    return labels
+
+
+def _skin_pixels(
+    lab: Float[ndarray, "h w 3"],
+    points: Float[ndarray, "21 2"],
+    size: float,
+    palm: Bool[ndarray, "h w"],
+    seen: Bool[ndarray, "h w"],
+) -> Bool[ndarray, "h w"]:
+    """Return pixels that show the skin's colour: the palm's; thumb's and wrist's where an object is before the palm.
+
+    Fingers take the place of a wrist that is not seen, but for their ends, which an object may hide.
+    """
+    behind = points[0] + WRIST_LENGTH_RATIO * (points[0] - points[9])
+    lines = (
+        points[THUMB_LANDMARKS],
+        np.stack([points[0], behind]),
+        *(points[knuckle : knuckle + 3] for knuckle in KNUCKLE_LANDMARKS),
+    )
+    thumb, wrist, *fingers = (
+        seen & (_draw_thick_lines(lab.shape[:2], line, CERTAIN_BONE_RADIUS * size) > 0) for line in lines
+    )
+    other = wrist if wrist.sum() >= MIN_COLOUR_PIXELS else np.any(fingers, axis=0)
+    if min(part.sum() for part in (thumb, other, palm)) < MIN_COLOUR_PIXELS:
+        return palm
+    colours = [np.median(lab[part][:, 1:], axis=0) for part in (thumb, other, palm)]
+    alike = np.linalg.norm(colours[0] - colours[1]) < SKIN_LAB_DISTANCE
+    covered = alike and min(np.linalg.norm(colours[2] - each) for each in colours[:2]) > NON_SKIN_LAB_DISTANCE
+    return thumb | other if covered else palm
+
+
+def _skin_colour_distance(
+    lab: Float[ndarray, "h w 3"], skin: Float[ndarray, "n 3"], shadow: float = 0.0
+) -> Float[ndarray, "h w"]:
+    """How many robust standard deviations a colour is from the skin's."""
+    if not len(skin):
+        return np.zeros(lab.shape[:2])
+    middle = np.median(skin, axis=0)
+    spread = np.maximum(1.48 * np.median(np.abs(skin - middle), axis=0), MIN_SKIN_COLOUR_SPREAD)
+    spread[0] = max(2.0 * spread[0], shadow)  # light and shadow
+    return np.sqrt(np.sum(((lab - middle) / spread) ** 2, axis=-1))
+
+
+def _draw_bones(shape: Sequence[int], points: Float[ndarray, "21 2"], radius: float) -> UInt8[ndarray, "h w"]:
+    """1 within a radius of a bone."""
+    out = np.zeros(tuple(shape), np.uint8)
+    for bone in LANDMARK_BONES:
+        out |= _draw_thick_lines(shape, points[list(bone)], radius)
+    return out
+
+
+def _draw_thick_lines(shape: Sequence[int], points: Float[ndarray, "n 2"], radius: float) -> UInt8[ndarray, "h w"]:
+    """1 within a radius of the lines between successive points."""
+    import cv2
+
+    out = np.zeros(tuple(shape), np.uint8)
+    cv2.polylines(out, [_round_to_pixels(points)], False, 1, max(1, round(2.0 * radius)))
+    return out
+
+
+def _round_to_pixels(points: Float[ndarray, "n 2"]) -> Int32[ndarray, "n 2"]:
+    """Round to the nearest pixels; far ones are brought to where OpenCV still draws."""
+    return np.clip(np.round(points - 0.5), -4096, 4096).astype(np.int32)
+
+
+def _remove_small_components(found: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
+    """Remove the parts that are small compared with the largest; holes stay."""
+    import cv2
+
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(found.astype(np.uint8), connectivity=4)
+    if count <= 1:
+        return found
+    areas = stats[:, cv2.CC_STAT_AREA].astype(float)
+    areas[0] = 0.0
+    return np.asarray(np.isin(labels, np.flatnonzero(areas > 0.05 * areas.max())))

@@ -1,0 +1,1 @@
+"""Object masks of every frame, from a box, strokes, clicks or polygons on some."""

@@ -1,0 +1,215 @@
+"""Segment the object from a box on one frame: GrabCut (Rother, Kolmogorov, Blake, SIGGRAPH 2004), and motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+from numpy import ndarray
+
+from getagrip.errors import UsageError
+from getagrip.studio.masks.click_prompt import (
+    MOVING_LOG_RATIO_THRESHOLD,
+    STATIC_LOG_RATIO_THRESHOLD,
+    click_motion_log_ratio,
+)
+from getagrip.studio.masks.graph_cut import (
+    UNSEEN_COLOUR_PROBABILITY,
+    ColourHistogram,
+    colour_bins,
+    colour_log_ratio,
+    remove_object_colours,
+)
+from getagrip.studio.masks.propagate_frame import Image, Images
+from getagrip.studio.masks.stroke_prompt import bounding_slices, resize_mask, segment_region
+from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL
+
+Box = tuple[float, float, float, float]
+"""Left, top, width and height [px]."""
+MIN_BOX_SIDE_PX = 4.0
+"""Least width and height of a box [px]."""
+BOX_SEARCH_RADIUS = 0.5
+"""Longest step of what a box shows from one frame to the next, in longer sides of the box."""
+BOX_DISTANCE_PENALTY = 1e-4
+"""Correlation that outweighs a pixel of a box's step: where all looks alike it stays."""
+COLOUR_DISTANCE_SCALE = 64.0
+"""Distance of an object's colours in RGB [of 442] (root mean square) that outweighs a correlation of 1."""
+MIN_BOX_CORRELATION = 0.5
+"""Correlation of a box with the first frame below which it may be elsewhere."""
+MAX_TRACKED_BOX_PX = 128
+"""Largest side of a box in the images in which it is followed [px]."""
+MIN_HAND_OUTSIDE_FRACTION = 0.2
+"""If more than this share of a found hand is outside the object's box, its colours there tell which pixels in the box
+may be the object's: a label before the palm, say."""
+THIN_OBJECT_FRACTION = 0.35
+"""If more than this share of what is found in a box has colours that are likelier beside it, the object is so thin that
+most of the box is background: what has the other colours is the object."""
+MIN_LIKELY_COLOUR_FRACTION = 0.5
+"""That counts if more than this share of the pixels of those colours is found."""
+BOX_EROSION_PX = 9
+"""Side of the square by which what is found in a box is made narrower before its motion is measured [px]."""
+MAX_STATIC_FRACTION = 0.2
+"""Share of what is found in a box that is not left out for its motion."""
+MAX_EMPTY_STRIP_FRACTION = 0.15
+"""Object and hand reach all sides of the object's box, within this share of the box's width or height."""
+
+
+def box_to_slices(box: Box, size: tuple[int, int]) -> tuple[slice, slice]:
+    """Return the rows and columns of a box in an image of ``size`` (width, height) [px].
+
+    Raises ``UsageError`` for a box that is tiny, or more than a tenth of which is out of the image.
+    """
+    x, y, w, h = box
+    left, top, right, bottom = max(0.0, x), max(0.0, y), min(x + w, size[0]), min(y + h, size[1])
+    if not (min(w, h) >= MIN_BOX_SIDE_PX and max(0.0, right - left) * max(0.0, bottom - top) >= 0.9 * w * h):
+        got = ",".join(f"{value:g}" for value in box)
+        within = f"the upright image, {size[0]} x {size[1]}, {MIN_BOX_SIDE_PX:g} pixels or more on either side"
+        raise UsageError(f"--object-box must be X,Y,W,H within {within} (got {got})")
+    return slice(round(top), round(bottom)), slice(round(left), round(right))
+
+
+def track_box(images: Images, box: Box, first: int, to: int) -> Iterator[tuple[Box, float]]:
+    """Follow what is seen in a box from a frame to a later one; yield it in each of them, the first included.
+
+    It moves to where the image is most like the box in the first frame and in the frame before, in pattern and in the
+    object's colours. With each box comes its correlation with the first frame. Raises ``UsageError`` after the first as
+    ``box_to_slices`` does.
+    """
+    import cv2
+
+    yield box, 1.0
+    if to <= first:
+        return
+    scale = min(1.0, MAX_TRACKED_BOX_PX / max(box[2:]))
+    image = downscale_image(images(first), scale)
+    size = np.array(image.shape[1::-1])
+    start = corner = np.clip(np.round(scale * np.array(box[:2])).astype(int), 0, size - 1)
+    w, h = np.clip(np.round(scale * np.add(box[:2], box[2:])).astype(int), start + 1, size) - start
+    near = round(BOX_SEARCH_RADIUS * max(w, h))
+    found = (segment_box(images(first), box) == OBJECT_LABEL).astype(np.uint8)
+    counts = cv2.resize(found, size.tolist(), interpolation=cv2.INTER_AREA)[corner[1] :, corner[0] :][:h, :w]
+    counts = counts if counts.any() else np.ones((h, w), np.uint8)
+    templates = [image[corner[1] :, corner[0] :][:h, :w]] * 2
+    for n in range(first + 1, to + 1):
+        image = downscale_image(images(n), scale)
+        low = np.maximum(corner - near, 0)
+        nearby = image[low[1] : corner[1] + h + near, low[0] : corner[0] + w + near]
+        squares = [cv2.matchTemplate(nearby, each, cv2.TM_SQDIFF, mask=counts) for each in templates]
+        unlike = [np.sqrt(np.maximum(each, 0.0) / counts.sum()) / COLOUR_DISTANCE_SCALE for each in squares]
+        alike = [cv2.matchTemplate(nearby, each, cv2.TM_CCOEFF_NORMED) for each in templates]
+        y, x = np.indices(alike[0].shape, dtype=np.float32)
+        far = np.hypot(x - (corner - low)[0], y - (corner - low)[1])
+        column, row = cv2.minMaxLoc(np.sum(alike, axis=0) - np.sum(unlike, axis=0) - BOX_DISTANCE_PENALTY * far)[3]
+        corner = low + np.array([column, row])
+        templates[1] = image[corner[1] :, corner[0] :][:h, :w]
+        left, top = (np.array(box[:2]) + (corner - start) / scale).tolist()
+        yield (left, top, *box[2:]), float(alike[0][row, column])
+
+
+def downscale_image(image: UInt8[ndarray, "H W 3"], scale: float) -> UInt8[ndarray, "h w 3"]:
+    """Reduce an image's width and height by a factor."""
+    import cv2
+
+    return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def segment_box_by_motion(
+    images: Images, n: int, interval: tuple[int, int], box: Box, hand: Bool[ndarray, "h w"] | None = None
+) -> UInt8[ndarray, "H W"]:
+    """Return what ``segment_box`` does, without what stays with the ground while the object moves.
+
+    Frames beyond the ``interval``, whose ends are included, are not looked at. Where much would be left out, nothing
+    is: the object lies still while the hand moves, or the ground is seen through it.
+    """
+    import cv2
+
+    labels = segment_box(images(n), box, hand)
+    found, seen = labels == OBJECT_LABEL, labels == HAND_LABEL
+    inner = cv2.erode(found.astype(np.uint8), np.ones((BOX_EROSION_PX, BOX_EROSION_PX), np.uint8)) > 0
+    motion = click_motion_log_ratio(images, n, interval, inner, seen) if inner.any() else None
+    if motion is None or not (motion[found] < STATIC_LOG_RATIO_THRESHOLD).any():
+        return labels
+    less = segment_box(
+        images(n), box, hand, found & (motion > MOVING_LOG_RATIO_THRESHOLD), motion < STATIC_LOG_RATIO_THRESHOLD
+    )
+    return less if np.mean(less[found] == OBJECT_LABEL) > 1.0 - MAX_STATIC_FRACTION else labels
+
+
+def segment_box(
+    image: Image,
+    box: Box,
+    hand: Bool[ndarray, "h w"] | None = None,
+    surely: Bool[ndarray, "H W"] | None = None,
+    ground: Bool[ndarray, "H W"] | None = None,
+) -> UInt8[ndarray, "H W"]:
+    """Return the label map of a frame on which the object fills a box, ``HAND_LABEL`` where the hand is seen.
+
+    Args:
+        image: RGB.
+        box: the object's [px].
+        hand: visible pixels of the hand that was found, of any size; None: not known.
+        surely: pixels that are known to be the object's, unless they are the hand's, or apart from its largest part.
+        ground: pixels that are known not to be the object's.
+
+    Raises:
+        UsageError: as ``box_to_slices`` does.
+    """
+    import cv2
+
+    shape = image.shape[:2]
+    inside = np.zeros(shape, bool)
+    inside[box_to_slices(box, (shape[1], shape[0]))] = True
+    possible = inside if ground is None else inside & ~ground
+    w, h = box[2:]
+    seen = np.zeros(shape, bool) if hand is None else resize_mask(hand, shape)
+    part = bounding_slices(inside, shape, 0.15 * max(w, h))
+    beside = np.zeros(shape, bool)
+    beside[part] = True
+    beside &= ~inside & ~seen
+    at = colour_bins(image)
+
+    def cut(hand: Bool[ndarray, "H W"], sure: Bool[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
+        free = possible & ~hand
+
+        def begun_with(some: Bool[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
+            start = np.where(some, cv2.GC_PR_FGD, np.where(free, cv2.GC_PR_BGD, cv2.GC_BGD)).astype(np.uint8)
+            return segment_region(image, sure, ~free, start, part, hand=hand)
+
+        likely = free & (colour_log_ratio(at, ColourHistogram.of(image, free, free | beside)) > 0.0)
+        found = begun_with(free)
+        if np.count_nonzero(found & ~likely) > THIN_OBJECT_FRACTION * np.count_nonzero(found):
+            again = begun_with(likely)
+            if np.count_nonzero(again) > MIN_LIKELY_COLOUR_FRACTION * np.count_nonzero(likely):
+                return again
+        return found
+
+    outside = seen & ~inside
+    known = np.count_nonzero(outside) > MIN_HAND_OUTSIDE_FRACTION * np.count_nonzero(seen)
+    skin = ColourHistogram.of(image, outside, outside)
+    unlike = inside & known & (skin.counts[0][at] < UNSEEN_COLOUR_PROBABILITY)
+    surely = np.zeros(shape, bool) if surely is None else surely
+    found = cut(seen & ~unlike, surely)
+    if known and found.any():
+        reached = seen
+        seen = remove_object_colours(reached, at, ColourHistogram.of(image, found, found), skin)
+        found = cut(seen, surely | (reached & ~seen & inside))
+    out = np.where(seen, HAND_LABEL, 0).astype(np.uint8)
+    out[found] = OBJECT_LABEL
+    return out
+
+
+def empty_side(labels: UInt8[ndarray, "H W"], box: Box) -> tuple[str, float] | None:
+    """Return the side of a box with the widest empty strip, and the strip's share of the box's width or height.
+
+    None up to a share of ``MAX_EMPTY_STRIP_FRACTION``, and where nothing is labelled. Raises ``UsageError`` as ``box_to_slices`` does.
+    """
+    inside = labels[box_to_slices(box, (labels.shape[1], labels.shape[0]))] != 0
+    if not inside.any():
+        return None
+    (top, bottom), (left, right) = (
+        (int(filled.argmax()) / len(filled), int(filled[::-1].argmax()) / len(filled))
+        for filled in (inside.any(axis=1), inside.any(axis=0))
+    )
+    share, side = max((left, "left"), (top, "top"), (right, "right"), (bottom, "bottom"))
+    return (side, share) if share > MAX_EMPTY_STRIP_FRACTION else None

@@ -1,0 +1,203 @@
+"""Origins of pixels in the frame before: by dense inverse search (Kroeger et al., ECCV 2016), or as an object.
+
+Lengths are in pixels of the size at which masks are propagated.
+
+Frames at the size at which masks are carried, and the flow between neighbours, for both directions of time at once.
+
+Dense inverse search (``object_motion.flow``) computes flow at half the size; at this size it is kept.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float16, Float32, Int32, UInt8
+from numpy import ndarray
+
+from getagrip.studio.masks.graph_cut import colour_bins
+
+Image = UInt8[ndarray, "H W 3"]
+Origins = tuple[Float32[ndarray, "h w"], Float32[ndarray, "h w"]]
+"""x and y of where each pixel was."""
+
+MAX_MOTION_SAMPLES = 2000
+"""Largest number of the object's pixels that its motion is fitted to; a hundredth of it is the least."""
+FLOW_BLUR_SIGMA_PX = 10.0
+"""Standard deviation of the Gaussian that averages the flow of the object's pixels [px]."""
+FLOW_SIGMA_PX = 1.5
+"""Standard deviation of flow [px]."""
+MAX_MOTION_LOG_RATIO = 3.0
+"""Largest logarithm of the ratio of the probabilities of two motions."""
+SHOT_CHANGE_THRESHOLD = 10.0
+"""Median difference of pixels from those where flow says that they were; above it the video is cut [of 255]."""
+
+
+def fit_object_motion(
+    x: Float32[ndarray, "h w"],
+    y: Float32[ndarray, "h w"],
+    came: Origins,
+    inner: Bool[ndarray, "h w"],
+) -> Origins | None:
+    """Return the origins of all pixels if they move like the nearby ``inner`` pixels of the object.
+
+    At a border, flow mixes both sides, so masks would lag behind. None if too few pixels are left.
+    """
+    import cv2
+
+    some = np.flatnonzero(inner)[:: max(1, np.count_nonzero(inner) // MAX_MOTION_SAMPLES)]
+    if len(some) < MAX_MOTION_SAMPLES // 100:
+        return None
+    here, there = (np.stack([each.ravel()[some] for each in pair], axis=1) for pair in ((x, y), came))
+    A = cv2.estimateAffine2D(here, there, method=cv2.RANSAC, ransacReprojThreshold=1.0)[0]
+    if A is None:
+        return None
+    weight = inner.astype(np.float32)
+    affine = [(row[0] * x + row[1] * y + row[2]).astype(np.float32) for row in A]
+    shifts = [weight * np.clip(each - one, -3.0, 3.0) for each, one in zip(came, affine, strict=True)]
+    total, *sums = (_blur_flow(each) for each in (weight, *shifts))
+    return affine[0] + sums[0] / (total + 0.01), affine[1] + sums[1] / (total + 0.01)
+
+
+def _blur_flow(values: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
+    """Blur by ``FLOW_BLUR_SIGMA_PX``, at a quarter of the size, which is enough for it."""
+    import cv2
+
+    size = values.shape[::-1]
+    small = cv2.resize(values, tuple(max(1, n // 4) for n in size), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(cv2.GaussianBlur(small, (0, 0), FLOW_BLUR_SIGMA_PX / 4.0), size), np.float32)
+
+
+def motion_log_ratio(
+    came: Origins,
+    own: Origins,
+    ground: Origins | None,
+    off: Float32[ndarray, "h w"],
+) -> Float32[ndarray, "h w"]:
+    """Return the log ratio of the probabilities that a pixel moves with the object or with its surroundings."""
+    import cv2
+
+    if ground is None:
+        return np.zeros_like(off)
+    apart = [(came[0] - each[0]) ** 2 + (came[1] - each[1]) ** 2 for each in (ground, own)]
+    noise = 2.0 * (FLOW_SIGMA_PX**2 + off**2)
+    return np.asarray(
+        cv2.GaussianBlur(
+            np.clip((apart[0] - apart[1]) / noise, -MAX_MOTION_LOG_RATIO, MAX_MOTION_LOG_RATIO), (0, 0), 2.0
+        ),
+        np.float32,
+    )
+
+
+def hand_displacement(before: Bool[ndarray, "h w"] | None, after: Bool[ndarray, "h w"] | None) -> tuple[int, int]:
+    """Measure how far a hand has moved from one frame to the next [px], 0 where either mask is not known."""
+    if before is None or after is None or not before.any() or not after.any():
+        return 0, 0
+    y, x = (float(np.median(np.nonzero(after)[n]) - np.median(np.nonzero(before)[n])) for n in (0, 1))
+    return round(x), round(y)
+
+
+def is_other_shot(before: Image, after: Image, came: Origins) -> bool:
+    """Return whether most of an image shows something else than the one before, wherever that was."""
+    import cv2
+
+    expected = cv2.remap(before, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+    return bool(np.median(cv2.absdiff(expected[::2, ::2], after[::2, ::2]).mean(axis=-1)) > SHOT_CHANGE_THRESHOLD)
+
+
+def warp_values(
+    values: Float32[ndarray, "h w"], old: tuple[Float32[ndarray, "H W"], Float32[ndarray, "H W"]], outside: float
+) -> Float32[ndarray, "H W"]:
+    """Return values at the origins of pixels."""
+    import cv2
+
+    return np.asarray(cv2.remap(values, *old, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, outside), np.float32)
+
+
+def optical_flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
+    """Return the flow from a to b: each pixel's place in b minus its place in a [px]."""
+    import cv2
+
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    a, b = (cv2.cvtColor(np.ascontiguousarray(each), cv2.COLOR_RGB2GRAY) for each in (a, b))
+    return np.asarray(search.calc(a, b, np.zeros((*a.shape, 2), np.float32)), np.float32)
+
+
+Part = tuple[slice, slice]
+"""Rows and columns."""
+Step = tuple[int, int]
+"""Steps along x and y [px]."""
+ZERO_STEP: Step = (0, 0)
+MAX_CACHED_FLOWS = 1000
+"""Pairs of frames of which flow is kept, about 0.3 MB each."""
+
+
+class SmallFrame(NamedTuple):
+    """A frame on its way through the propagation."""
+
+    image: UInt8[ndarray, "h w 3"]
+    bins: Int32[ndarray, "h w"]
+    """Bins of its colours."""
+    whole: UInt8[ndarray, "H W 3"]
+    """The frame at its own size."""
+
+
+class SmallFrames:
+    """Frames by number, made smaller; the last few are kept, as is the flow between two until it is used again."""
+
+    def __init__(self, image: Callable[[int], UInt8[ndarray, "H W 3"]], size: tuple[int, int]) -> None:
+        self.size = size
+        self._image = image
+        self._frames: OrderedDict[int, SmallFrame] = OrderedDict()
+        self._flows: dict[tuple[int, ...], tuple[Float16[ndarray, "h w 2"], ...]] = {}
+
+    def __getitem__(self, n: int) -> SmallFrame:
+        """Return a frame."""
+        import cv2
+
+        if n not in self._frames:
+            whole = self._image(n)
+            image = np.asarray(cv2.resize(whole, self.size, interpolation=cv2.INTER_AREA), np.uint8)
+            self._frames[n] = SmallFrame(image, colour_bins(image), whole)
+            if len(self._frames) > 3:
+                self._frames.popitem(last=False)
+        return self._frames[n]
+
+    def flows(
+        self, a: int, b: int, part: Part, step: Step = ZERO_STEP
+    ) -> tuple[Float32[ndarray, "h w 2"], Float32[ndarray, "h w 2"]]:
+        """Return flow from frame a to its neighbour b, and back, in a part of them [px].
+
+        ``step``: how far what matters has moved from a to b, about [px]; flow finds what is left.
+        """
+        import cv2
+
+        if step != ZERO_STEP:
+            one, other = translate_image(self[a].image[part], step), self[b].image[part]
+            there, back = translate_image(optical_flow(one, other), (-step[0], -step[1])), optical_flow(other, one)
+            return there + np.array(step, np.float32), back - np.array(step, np.float32)
+        key = (min(a, b), *(end for each in part for end in (each.start, each.stop)))
+        height, width = (each.stop - each.start for each in part)
+        if key in self._flows:
+            up, down = (
+                cv2.resize(each.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+                for each in self._flows.pop(key)
+            )
+        else:
+            one, other = self[min(a, b)].image[part], self[max(a, b)].image[part]
+            up, down = optical_flow(one, other), optical_flow(other, one)
+            if len(self._flows) < MAX_CACHED_FLOWS:
+                half = (width + 1) // 2, (height + 1) // 2
+                small = (cv2.resize(each, half, interpolation=cv2.INTER_AREA) for each in (up, down))
+                self._flows[key] = tuple(each.astype(np.float16) for each in small)
+        return (up, down) if a < b else (down, up)
+
+
+def translate_image(image: ndarray, step: Step) -> ndarray:
+    """Return an image whose content is moved by whole pixels, its border repeated."""
+    import cv2
+
+    M = np.array([[1.0, 0.0, step[0]], [0.0, 1.0, step[1]]])
+    return cv2.warpAffine(image, M, image.shape[1::-1], flags=cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)

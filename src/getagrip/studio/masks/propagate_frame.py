@@ -1,0 +1,340 @@
+"""A mask carried from its key frame through the images.
+
+Where a pixel of the new frame was in the old one is found by dense inverse search (DIS; Kroeger, Timofte, Dai, Van
+Gool, "Fast Optical Flow using Dense Inverse Search", ECCV 2016). After each step GrabCut (Rother, Kolmogorov, Blake,
+SIGGRAPH 2004) draws the border anew in a narrow band, so that errors do not grow. Lengths are in
+pixels of the size at which masks are carried (``propagated_masks.SIDE``).
+
+What the hand, or something else in front, hides of the object is remembered: it moves on as the visible object does (an
+affine motion). Pixels that come into view and were never seen are unknown, not background: their colour decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+from numpy import ndarray
+
+from getagrip.studio.masks.background_model import BackgroundModel
+from getagrip.studio.masks.graph_cut import (
+    ColourHistogram,
+    LocalColourHistogram,
+    colour_log_ratio,
+    edge_cost,
+    minimal_cut,
+    overlapping_components,
+    remove_object_colours,
+)
+from getagrip.studio.masks.optical_flow import (
+    ZERO_STEP,
+    Part,
+    SmallFrames,
+    Step,
+    fit_object_motion,
+    hand_displacement,
+    is_other_shot,
+    motion_log_ratio,
+    warp_values,
+)
+from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
+
+Image = UInt8[ndarray, "H W 3"]
+Images = Callable[[int], Image]
+"""RGB by frame, from 0; of any one size that has the shape of the masks'."""
+Hands = Callable[[int], Bool[ndarray, "H W"] | None]
+"""The visible hand by frame, of any one size of that shape; None where it is not known."""
+
+MAX_DISPLACEMENT_PX = 90
+"""Things that move farther than this from one frame to the next are lost [px]."""
+FLOW_GRID_PX = 60
+"""Parts of images in which flow is computed end at multiples of this, so that both directions share it [px]."""
+BACKGROUND_BAND_PX = 40.0
+"""Colours of what is not the object are those of pixels nearer to it than this [px]."""
+MAX_SIGNED_DISTANCE_PX = 24
+"""Signed distances end here [px]."""
+BORDER_SIGMA_PX = 2.0
+"""The border of a mask that flow has moved is about so sure [px]."""
+BORDER_PRIOR_WEIGHT, MASK_COLOUR_WEIGHT, MAX_COLOUR_LOG_RATIO = 4.0, 1.0, 3.0
+"""Weights of being one ``BORDER_SIGMA_PX`` from the border, and of a colour that is e times likelier on one side, up to e^MOST."""
+FLOW_CONSISTENCY_PX = 1.5
+"""Flow there and back agrees if it ends so near to where it began [px]."""
+
+SEEN_PIXEL_CONFIDENCE, UNCOVERED_PIXEL_CONFIDENCE = 0.2, 0.15
+"""``SEEN_PIXEL_CONFIDENCE``: knowledge of a pixel that came into view after the key: its colour has decided. ``UNCOVERED_PIXEL_CONFIDENCE``: of one that
+something in front hid until then; unless it is taken for the object, its colour is not counted as the ground's."""
+OCCLUDED_CONFIDENCE_DECAY = 0.95
+"""Share of its knowledge that something hidden keeps from frame to frame."""
+OBJECT_INTERIOR_PX = 2.5
+"""The flow of pixels of the object that are farther from its border than this is its own [px]."""
+BORDER_STIFFNESS = 0.5
+"""Share by which a border that is certain moves less than colours would have it, so that errors do not add up."""
+
+MIN_TRUST_RATIO = 0.15
+"""Share of a mask's trust below which, after a frame, it is looked for as far away as the hand has moved."""
+
+HAND_KEEP_DISTANCE_PX = 10.0
+"""Pixels of a found hand stay the hand's, whatever their colours, farther than this from the expected object [px]."""
+MIN_GROUND_DISTANCE_PX = 3.0
+"""Pixels farther than this from all that is carried show the ground [px]."""
+
+TRACKED_LABELS = (OBJECT_LABEL, OCCLUDER_LABEL, HAND_LABEL)
+"""Kinds that are carried; where several are, the last one is visible."""
+
+
+class TrackedMask(NamedTuple):
+    """The mask of a frame on its way; small, since those of all frames between two keys are kept."""
+
+    frame: int
+    corner: tuple[int, int]
+    """Left and top of the part of the image that holds all of it [px]."""
+    inside: Float32[ndarray, "3 h w"]
+    """Signed distances from the borders of ``TRACKED_LABELS``, above 0 inside, -FAR to FAR [px].
+
+    The object's where it is hidden, too."""
+    known: Float32[ndarray, "h w"]
+    """1 where the key shows whether the object is there, 0 where nothing has shown that, ``SEEN_PIXEL_CONFIDENCE`` in between."""
+    trust: float
+    unlike: Float32[ndarray, "h w"]
+    """Log ratio of a pixel's probabilities on the object and on the ground behind (``Ground.unlike``)."""
+
+
+def track_mask(
+    frames: SmallFrames,
+    key: int,
+    labels: UInt8[ndarray, "H W"],
+    to: int,
+    colours: Sequence[ColourHistogram],
+    hand: Hands = lambda _: None,
+) -> Iterator[TrackedMask]:
+    """Carry the mask of a key to the frames after it until ``to``, or before it; ``colours`` as of ``keyframe_histograms``."""
+    if key == to:
+        return
+    now = _mask_of_keyframe(key, labels, frames)
+    ground = BackgroundModel.of_key(
+        frames[key].image, place_in_window(now, (0, 0), frames.size)[0].max(axis=0) < -MIN_GROUND_DISTANCE_PX
+    )
+    towards = 1 if to > key else -1
+    was = _hand_mask_at(hand, key, frames)
+    for frame in range(key + towards, to + towards, towards):
+        shown, before = _hand_mask_at(hand, frame, frames), frame - towards
+        ground_before = copy(ground)  # each step renews its own
+        after = _track_mask_step(now, ground, frames, before, frame, shown, colours)
+        if after.trust < MIN_TRUST_RATIO * now.trust and (step := hand_displacement(was, shown)) != ZERO_STEP:
+            again = _track_mask_step(now, ground_before, frames, before, frame, shown, colours, step)
+            if again.trust > after.trust and (again.inside[0] > 0.0).any():
+                after, ground = again, ground_before
+        now, was = after, shown
+        yield now
+
+
+def keyframe_histograms(frames: SmallFrames, keys: Mapping[int, UInt8[ndarray, "H W"]]) -> list[ColourHistogram]:
+    """Return colours of each of ``TRACKED_LABELS`` and what is about it in the keys."""
+    found: list[list[ColourHistogram]] = [[] for _ in TRACKED_LABELS]
+    for n, labels in keys.items():
+        inside = [
+            signed_distance(_downscale_mask(labels == kind, frames.size), BACKGROUND_BAND_PX) for kind in TRACKED_LABELS
+        ]
+        small = frames[n].image
+        for kind, each in zip(found, inside, strict=True):
+            kind.append(ColourHistogram.of(small, each > 0, (np.abs(each) > 1.0) & (each > -BACKGROUND_BAND_PX)))
+    return [ColourHistogram.mean(kind) for kind in found]
+
+
+def _mask_of_keyframe(frame: int, labels: UInt8[ndarray, "H W"], frames: SmallFrames) -> TrackedMask:
+    inside = np.stack([signed_distance(_downscale_mask(labels == kind, frames.size)) for kind in TRACKED_LABELS])
+    known = np.where(is_occluded(inside) & (inside[0] < 0.0), 0.0, 1.0).astype(np.float32)
+    return _crop_to_mask(TrackedMask(frame, (0, 0), inside, known, 1.0, np.zeros_like(known)))
+
+
+def is_occluded(inside: Float32[ndarray, "3 h w"]) -> Bool[ndarray, "h w"]:
+    """Return where something is in front, or so near that the border may show it."""
+    return np.asarray(inside[1:].max(axis=0) > -1.5)
+
+
+def _hand_mask_at(hand: Hands, frame: int, frames: SmallFrames) -> Bool[ndarray, "h w"] | None:
+    seen = hand(frame)
+    return None if seen is None else _downscale_mask(seen, frames.size)
+
+
+def _downscale_mask(mask: Bool[ndarray, "H W"], size: tuple[int, int]) -> Bool[ndarray, "h w"]:
+    import cv2
+
+    return np.asarray(cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5)
+
+
+def _track_mask_step(
+    now: TrackedMask,
+    ground: BackgroundModel,
+    frames: SmallFrames,
+    before: int,
+    frame: int,
+    hand: Bool[ndarray, "H W"] | None,
+    colours: Sequence[ColourHistogram],
+    step: Step = ZERO_STEP,
+) -> TrackedMask:
+    """Return a mask in the next frame; ``step``: about how far the object has moved [px]."""
+    import cv2
+
+    if not now.inside.size:  # it is not visible
+        return now._replace(frame=frame)
+    width, height = frames.size
+    left, top = now.corner
+    part = rows, columns = _search_window(now, frames.size)
+    b, at = frames[frame].image[part], frames[frame].bins[part]
+    there, back = frames.flows(before, frame, part, step)
+    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in b.shape[1::-1]))
+    came = x + back[..., 0], y + back[..., 1]
+    round_trip = back + cv2.remap(there, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+    off = np.sqrt(np.einsum("hwc,hwc->hw", round_trip, round_trip))
+
+    def old(u: Float32[ndarray, "h w"], v: Float32[ndarray, "h w"]) -> tuple[ndarray, ndarray]:
+        return (
+            np.clip(u + columns.start, 0, width - 1) - left,
+            np.clip(v + rows.start, 0, height - 1) - top,
+        )
+
+    inside = np.stack([warp_values(kind, old(*came), -float(MAX_SIGNED_DISTANCE_PX)) for kind in now.inside])
+    if hand is not None:
+        coloured = remove_object_colours(hand[part], at, colours[0], colours[-1])
+        inside[-1] = signed_distance(coloured | (hand[part] & (inside[0] < -HAND_KEEP_DISTANCE_PX)))
+    hidden = is_occluded(inside)
+    was_hidden = warp_values(is_occluded(now.inside).astype(np.float32), old(*came), 0.0) > 0.0
+    inner = (
+        (inside[0] > OBJECT_INTERIOR_PX)
+        & (off < FLOW_CONSISTENCY_PX)
+        & (inside[1:].max(axis=0) < -OBJECT_INTERIOR_PX)
+        & ~was_hidden
+    )
+    own = fit_object_motion(x, y, came, inner)
+    moves = np.zeros_like(off)
+    with_ground = fit_object_motion(
+        x, y, came, (inside.max(axis=0) < -OBJECT_INTERIOR_PX) & (off < FLOW_CONSISTENCY_PX) & ~was_hidden
+    )
+    behind = ground.moved(part, came if with_ground is None else with_ground)
+    unlike = behind.unlike(b, colours[0].counts[:, at], inside.max(axis=0) < -MIN_GROUND_DISTANCE_PX)
+    if own is not None:
+        moves = motion_log_ratio(came, own, with_ground, off)
+        inside[0] = warp_values(now.inside[0], old(*own), -float(MAX_SIGNED_DISTANCE_PX))
+        covered = hidden | was_hidden
+        came = np.where(covered, own[0], came[0]), np.where(covered, own[1], came[1])
+    u, v = came[0] + columns.start, came[1] + rows.start
+    in_view = (u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)
+    known = in_view * warp_values(now.known, old(*came), 1.0)
+    border = (np.abs(inside[0]) < 2.0) & ~hidden
+    trust = now.trust * (float(np.mean(off[border] < FLOW_CONSISTENCY_PX)) if border.any() else 1.0)
+    if is_other_shot(frames[before].image[part], b, came):
+        trust = 0.0
+    # Where the known ground is no longer seen, a new side of the object may be.
+    as_ground = np.where((inside[0] < 0.0) & (unlike > 0.0), 2.0 / (1.0 + np.exp(unlike)), 1.0)
+    certain = (known * as_ground * np.where(was_hidden, 0.1, np.where(off < FLOW_CONSISTENCY_PX, 1.0, 0.3))).astype(
+        np.float32
+    )
+    visible, known_before = place_in_window(now, (columns.start, rows.start), b.shape[1::-1])
+    top_most = ~is_occluded(visible) & (
+        (visible[0] > 0.0) | (known_before > (SEEN_PIXEL_CONFIDENCE + UNCOVERED_PIXEL_CONFIDENCE) / 2.0)
+    )
+    for n, kind in enumerate(visible):
+        if (n < 2 or hand is None) and (kind > 0).any():
+            clear = (np.abs(kind) > 1.0) & (top_most if n == 0 else kind > -MAX_SIGNED_DISTANCE_PX)
+            likely = colour_log_ratio(
+                at, colours[n], LocalColourHistogram.of(frames[before].bins[part], kind > 0, clear), came
+            )
+            if n == 0:
+                likely += moves + unlike
+            inside[n] = refine_border(b, inside[n], certain, likely, hidden & (n == 0))
+    known = np.where(
+        hidden,
+        np.maximum(OCCLUDED_CONFIDENCE_DECAY * known, np.minimum(known, SEEN_PIXEL_CONFIDENCE)),
+        np.where(
+            in_view & ((off < FLOW_CONSISTENCY_PX) | (known < SEEN_PIXEL_CONFIDENCE)),
+            np.maximum(known, UNCOVERED_PIXEL_CONFIDENCE),
+            SEEN_PIXEL_CONFIDENCE,
+        ),
+    ).astype(np.float32)
+    ground.renew(frames[frame].image, part, behind, inside.max(axis=0) < -MIN_GROUND_DISTANCE_PX)
+    return _crop_to_mask(TrackedMask(frame, (columns.start, rows.start), inside, known, trust, unlike))
+
+
+def _search_window(now: TrackedMask, size: tuple[int, int]) -> Part:
+    """Return the part of the next image that is looked at."""
+    ends = []
+    for begin, length, limit in zip(now.corner, now.inside.shape[:0:-1], size, strict=True):
+        first, last = (
+            (begin - MAX_DISPLACEMENT_PX) // FLOW_GRID_PX * FLOW_GRID_PX,
+            -(-(begin + length + MAX_DISPLACEMENT_PX) // FLOW_GRID_PX) * FLOW_GRID_PX,
+        )
+        ends.append(slice(max(0, first), min(limit, last)))
+    return ends[1], ends[0]
+
+
+def refine_border(
+    image: Image,
+    inside: Float32[ndarray, "h w"],
+    certain: Float32[ndarray, "h w"],
+    colours: Float32[ndarray, "h w"],
+    hidden: Bool[ndarray, "h w"],
+) -> Float32[ndarray, "h w"]:
+    """Draw a border by colours: near to the expected one, freely where nothing is certain; its signed distances.
+
+    What is ``hidden`` stays as it is.
+    """
+    import cv2
+
+    near = inside > -MAX_SIGNED_DISTANCE_PX
+    if not near.any() or not (inside > 0).any():
+        return inside
+    rows, columns = (slice(max(0, int(i.min()) - 1), int(i.max()) + 2) for i in np.nonzero(near))
+    part = rows, columns
+    prior = BORDER_PRIOR_WEIGHT * certain[part] * np.clip(inside[part] / BORDER_SIGMA_PX, -2.0, 2.0)
+    cost = -(prior + MASK_COLOUR_WEIGHT * np.clip(colours[part], -MAX_COLOUR_LOG_RATIO, MAX_COLOUR_LOG_RATIO))
+    cost[~near[part]] = 10.0
+    cost[hidden[part]] = np.where(inside[part] > 0, -10.0, 10.0)[hidden[part]]
+    start = np.clip(0.5 + inside[part] / (2.0 * BORDER_SIGMA_PX), 0.0, 1.0)
+    found = np.zeros(inside.shape, bool)
+    found[part] = minimal_cut(cost.astype(np.float32), edge_cost(image[part]), start.astype(np.float32))
+    found = overlapping_components(found, inside > 0)
+    new = cv2.GaussianBlur(signed_distance(found), (0, 0), 0.7)
+    return np.asarray(inside + (new - inside) * np.where(hidden, 0.0, 1.0 - BORDER_STIFFNESS * certain), np.float32)
+
+
+def signed_distance(mask: Bool[ndarray, "h w"], far: float = MAX_SIGNED_DISTANCE_PX) -> Float32[ndarray, "h w"]:
+    """Measure the distance from the border between pixels, above 0 inside, up to ``far`` [px]."""
+    import cv2
+
+    distances = []
+    for each in (mask, ~mask):
+        seen = each.astype(np.uint8)
+        if seen.all():
+            distances.append(np.full(mask.shape, float(far), np.float32))
+        else:
+            distances.append(np.maximum(cv2.distanceTransform(seen, cv2.DIST_L2, 5) - 0.5, 0.0))
+    return np.clip(distances[0] - distances[1], -far, far).astype(np.float32)
+
+
+def _crop_to_mask(whole: TrackedMask) -> TrackedMask:
+    """Only the part that holds what is inside, and what is near to it."""
+    near = (whole.inside > -MAX_SIGNED_DISTANCE_PX).any(axis=0)
+    rows, columns = (
+        (slice(int(i.min()), int(i.max()) + 1) for i in np.nonzero(near)) if near.any() else (slice(0, 0), slice(0, 0))
+    )
+    corner = whole.corner[0] + columns.start, whole.corner[1] + rows.start
+    known, unlike = (each[rows, columns].copy() for each in (whole.known, whole.unlike))
+    return whole._replace(corner=corner, inside=whole.inside[:, rows, columns].copy(), known=known, unlike=unlike)
+
+
+def place_in_window(
+    each: TrackedMask, corner: tuple[int, int], size: tuple[int, int]
+) -> tuple[Float32[ndarray, "3 h w"], Float32[ndarray, "h w"]]:
+    """Place signed distances, and what is known, in another part of the image, which holds theirs."""
+    inside, known = (
+        np.full((len(TRACKED_LABELS), *size[::-1]), -float(MAX_SIGNED_DISTANCE_PX), np.float32),
+        np.ones(size[::-1], np.float32),
+    )
+    (left, top), (h, w) = np.subtract(each.corner, corner).tolist(), each.inside.shape[1:]
+    inside[:, top : top + h, left : left + w] = each.inside
+    known[top : top + h, left : left + w] = each.known
+    return inside, known

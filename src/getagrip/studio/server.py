@@ -1,0 +1,270 @@
+"""The page over HTTP, for this machine and this user only.
+
+The server listens on 127.0.0.1, which a tunnel may lead to from any port of another machine. Others who work on this
+one can reach it, too: it answers only who has opened the address with the token, which becomes a cookie. A page of
+another site that a browser has open could still send requests here: those are recognised by the name they ask for
+(``Host``) and by where they come from (``Origin``, ``Sec-Fetch-Site``), and are refused.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import sqlite3
+import stat
+from collections.abc import Callable
+from contextlib import suppress
+from hmac import compare_digest
+from http import HTTPStatus
+from http.cookies import CookieError, SimpleCookie
+from importlib.resources import files as package_files
+from pathlib import Path
+from urllib.parse import parse_qs, quote, urlsplit
+
+from getagrip.errors import GetagripError, InputError, UsageError
+from getagrip.report.serving import LOOPBACK, SCRIPTED_PAGE_HEADERS, QuietHandler, QuietServer
+from getagrip.studio.project import Project
+from getagrip.studio.store.history import RefusedError
+
+LOCAL_HOST_NAMES = (LOOPBACK, "localhost")
+"""Names of this machine in its own browser."""
+DEFAULT_PORT, N_PORTS_TRIED = 8765, 20
+"""The first of the ports that are tried where none is named, and how many of them."""
+MIN_TOKEN_LENGTH = 20
+"""Letters of a token."""
+MISSING_TOKEN_MESSAGE = "open the address that getagrip annotate has printed: the token in it is missing here"
+MAX_BODY_BYTES = 256 * 2**10
+"""Bytes of a request."""
+MAX_SKIPPED_BODY_BYTES = 64 * 2**20
+"""Bytes of a request that is too large: of more the connection is closed."""
+STUDIO_STYLESHEETS = ("page", "labels")
+STUDIO_SCRIPTS = (
+    "app", "grasps", "joints", "labelling", "labels", "outlines", "overlay", "page", "panel", "player", "saving",
+    "segments", "states", "strokes", "tasks", "timeline", "view",
+)  # fmt: skip
+PAGE_ROUTES = {
+    "/": ("index.html", "text/html"),
+    **{f"/{name}.css": (f"{name}.css", "text/css") for name in STUDIO_STYLESHEETS},
+    **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in STUDIO_SCRIPTS},
+}
+DATA_ROUTES: dict[str, Callable[[Project, dict[str, str]], dict[str, object]]] = {
+    "/api/tasks": lambda project, asked: project.overview(asked.get("annotator")),
+    "/api/task": lambda project, asked: project.task(asked.get("task")),
+    "/api/marks": lambda project, asked: project.marks(asked.get("task"), asked.get("annotator")),
+    "/api/labels": lambda project, asked: project.labels(asked),
+    "/api/drafts": lambda project, asked: project.drafts(asked, _parse_whole_number(asked.get("since"))),
+    "/api/agreement": lambda project, _: project.agreement(),
+}
+"""Paths of JSON answers."""
+CHANGE_ROUTES = {
+    "/api/change": "change",
+    "/api/undo": "undo",
+    "/api/label": "label",
+    "/api/unlabel": "unlabel",
+    "/api/work": "work",
+}
+"""Methods of the project, by where their content is sent."""
+FILE_ROUTES = {"/grasps.csv": "csv", "/grasps.json": "json", "/segments.json": "segments"}
+"""Paths of files with an annotator's marks."""
+REPORT_ROUTES = {"/report.png": "image/png", "/report.html": "text/html; charset=utf-8"}
+"""Paths of the files of a grasp's result."""
+REPORT_HEADERS = {
+    "Content-Security-Policy": f"{SCRIPTED_PAGE_HEADERS['Content-Security-Policy']}; sandbox allow-scripts"
+}
+"""Headers of a report: its scripts run as those of another site, so that they reach neither marks nor cookies."""
+STUDIO_PAGE_HEADERS = {
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'"
+}
+"""Headers of the page whose scripts are files of ours."""
+
+
+class StudioServer(QuietServer):
+    """Serves one project."""
+
+    closed = False
+
+    def __init__(self, project: Project, port: int, token: str = "") -> None:
+        """Listen on a port, on any free one for 0. Raises ``UsageError`` where it is taken.
+
+        Without a ``token`` a new one is made.
+        """
+        self.project, self.token = project, token or secrets.token_urlsafe(18)
+        try:
+            super().__init__((LOOPBACK, port), _StudioHandler)
+        except (OSError, OverflowError) as error:
+            raise UsageError(f"--port must be a free port (got {port}: {error})") from error
+        self.cookie = f"getagrip-{project.name}-{self.server_port}"  # a browser sends cookies to all ports
+
+    @property
+    def url(self) -> str:
+        """Address of the page, with the token that opens it."""
+        return f"http://{LOOPBACK}:{self.server_port}/?token={self.token}"
+
+    def admits(self, token: str) -> bool:
+        """Return whether a token is this server's."""
+        return compare_digest(token.encode("utf-8", "replace"), self.token.encode())
+
+    def server_close(self) -> None:
+        """Listen no more, and answer nothing more on connections that are still open."""
+        self.closed = True
+        super().server_close()
+
+
+def serve_on_free_port(project: Project, token: str) -> StudioServer:
+    """Start a server at the usual port, or at the next one that is free. Raises ``UsageError`` where none is."""
+    for port in range(DEFAULT_PORT, DEFAULT_PORT + N_PORTS_TRIED):
+        with suppress(UsageError):
+            return StudioServer(project, port, token)
+    return StudioServer(project, 0, token)
+
+
+def persistent_token(path: Path) -> str:
+    """Read the token in a private file of ours; make one where there is none, so that pages survive a restart.
+
+    A link is not followed, and a short token is not used: whoever sent the folder may know either.
+    """
+    with suppress(OSError, ValueError):
+        about = path.lstat()
+        if stat.S_ISREG(about.st_mode) and about.st_mode & 0o077 == 0 and about.st_uid == os.geteuid():
+            token = path.read_text("ascii").strip()
+            if len(token) >= MIN_TOKEN_LENGTH:
+                return token
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with suppress(FileNotFoundError):
+        path.unlink()
+    token = secrets.token_urlsafe(18)
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+        file.write(token)
+    return token
+
+
+class _StudioHandler(QuietHandler):
+    server: StudioServer
+
+    def do_GET(self) -> None:
+        """Answer with the page, a frame, or data."""
+        self._answer(self._get)
+
+    def do_POST(self) -> None:
+        """Make a change."""
+        self._answer(self._post)
+
+    def _answer(self, act: Callable[[], None]) -> None:
+        """Do what is asked; errors become one line of JSON, never a traceback."""
+        if self.server.closed:
+            self.close_connection = True
+            return
+        try:
+            if (reason := self._foreign()) is not None:
+                self.close_connection = True
+                self.send_json({"error": reason}, HTTPStatus.FORBIDDEN)
+            elif not self._may_enter():
+                self.close_connection = True
+                self.send_json({"error": MISSING_TOKEN_MESSAGE}, HTTPStatus.UNAUTHORIZED)
+            else:
+                act()
+        except RefusedError as error:
+            self.send_json({"error": str(error)}, HTTPStatus.CONFLICT)
+        except InputError as error:
+            self.send_json({"error": str(error)}, HTTPStatus.UNPROCESSABLE_ENTITY)
+        except (GetagripError, ValueError) as error:
+            self.send_json({"error": str(error)}, HTTPStatus.BAD_REQUEST)
+        except ConnectionError:
+            self.close_connection = True
+        except (OSError, sqlite3.Error) as error:  # a full disk, a file that is locked: the page keeps and tries again
+            self.close_connection = True
+            self.send_json({"error": str(error)}, HTTPStatus.SERVICE_UNAVAILABLE)
+        except Exception as error:  # without an answer the page would try for ever
+            self.close_connection = True
+            words = f"an error of the program: {type(error).__name__}: {error}"
+            self.send_json({"error": words}, HTTPStatus.INTERNAL_SERVER_ERROR)
+
+    def _foreign(self) -> str | None:
+        """Why a request is refused before it is looked at."""
+        host = self.headers.get("Host") or ""
+        name, _, port = host.rpartition(":")
+        if name not in LOCAL_HOST_NAMES or not port.isdigit():
+            return "requests to another host are refused"
+        origin = self.headers.get("Origin")
+        if origin is not None and origin not in {f"http://{name}:{port}" for name in LOCAL_HOST_NAMES}:
+            return "requests from other sites are refused"
+        site = self.headers.get("Sec-Fetch-Site", "same-origin")
+        if site not in ("same-origin", "none") and urlsplit(self.path).path != "/":
+            return "requests from other sites are refused"
+        return None
+
+    def _may_enter(self) -> bool:
+        """Return whether a request has the token, in its cookie or, as the first one, in its address."""
+        url = urlsplit(self.path)
+        if url.path == "/" and self.server.admits("".join(parse_qs(url.query).get("token", [])[-1:])):
+            return True
+        try:
+            cookie = SimpleCookie(self.headers.get("Cookie", "")).get(self.server.cookie)
+        except CookieError:
+            return False
+        return cookie is not None and self.server.admits(cookie.value)
+
+    def _get(self) -> None:
+        url = urlsplit(self.path)
+        asked = {key: values[-1] for key, values in parse_qs(url.query).items()}
+        project = self.server.project
+        if url.path == "/" and "token" in asked:  # out of the address, which others may come to see
+            kept = f"{self.server.cookie}={self.server.token}; Path=/; HttpOnly; SameSite=Lax"
+            self.send(b"", "text/plain", {"Location": "/", "Set-Cookie": kept}, HTTPStatus.SEE_OTHER)
+        elif url.path in PAGE_ROUTES:
+            name, kind = PAGE_ROUTES[url.path]
+            content = (package_files("getagrip.studio") / "page" / name).read_bytes()
+            self.send(content, f"{kind}; charset=utf-8", STUDIO_PAGE_HEADERS)
+        elif url.path == "/frame":
+            image, time, number = project.frame(
+                asked.get("task"), _parse_whole_number(asked.get("n")), "whole" in asked
+            )
+            self.send(image, "image/jpeg", {"X-Time": f"{time:.6f}", "X-Number": str(number)})
+        elif url.path in DATA_ROUTES:
+            self.send_json(DATA_ROUTES[url.path](project, asked))
+        elif url.path == "/labels.json":
+            text, name = project.labels_file(asked)
+            self._send_file(text, "json", name)
+        elif url.path in REPORT_ROUTES:
+            name = url.path.removeprefix("/")
+            self.send(project.result_file(asked, name), REPORT_ROUTES[url.path], REPORT_HEADERS)
+        elif url.path in FILE_ROUTES:
+            text = project.exported(FILE_ROUTES[url.path], asked.get("annotator"))
+            self._send_file(text, url.path.rpartition(".")[2], f"{asked.get('annotator')}-{url.path[1:]}")
+        else:
+            self.send_json({"error": "no such page"}, HTTPStatus.NOT_FOUND)
+
+    def _post(self) -> None:
+        length = _parse_whole_number(self.headers.get("Content-Length"))
+        if length > MAX_BODY_BYTES or self.headers.get("Content-Type") != "application/json":
+            self.close_connection = True
+            for _ in range(
+                0, min(length, MAX_SKIPPED_BODY_BYTES), MAX_BODY_BYTES
+            ):  # who is still sending hears no answer
+                self.rfile.read(min(length, MAX_BODY_BYTES))
+                length -= MAX_BODY_BYTES
+            raise UsageError(f"body must be JSON of at most {MAX_BODY_BYTES} bytes")
+        try:
+            content = json.loads(self.rfile.read(length))
+        except RecursionError as error:
+            raise UsageError("body must be a JSON object") from error
+        if not isinstance(content, dict):
+            raise UsageError("body must be a JSON object")
+        if content.get("project", self.server.project.name) != self.server.project.name:
+            self.send_json({"error": "another database of marks is open"}, HTTPStatus.SERVICE_UNAVAILABLE)
+        elif self.path in CHANGE_ROUTES:
+            self.send_json(getattr(self.server.project, CHANGE_ROUTES[self.path])(content))
+        else:
+            self.send_json({"error": "no such page"}, HTTPStatus.NOT_FOUND)
+
+    def _send_file(self, text: str, kind: str, name: str) -> None:
+        head = {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(name)}"}
+        self.send(text.encode(), f"text/{kind}; charset=utf-8", head)
+
+
+def _parse_whole_number(text: str | None) -> int:
+    """Parse a whole number in a request. Raises ``UsageError``."""
+    if text is None or not text.isascii() or not text.isdigit() or len(text) > 9:
+        raise UsageError("length must be a whole number")
+    return int(text)

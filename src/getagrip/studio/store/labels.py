@@ -1,0 +1,494 @@
+"""Labels that a person has clicked on some frames: the joints of the hand, the object, what is in front of it.
+
+As JSON, one file for one grasp:
+
+    {"video": "kitchen.mp4", "sha256": "9f86d0...", "size": [1920, 1080], "side": "left", "fps": 30.0,
+     "first": 57, "last": 112,
+     "frames": {"57": {"joints": [[x, y], null, ...], "object": [[[x, y], ...], ...], "front": [[[x, y], ...], ...]}}}
+
+Frames are counted from 0, first and last included; points are in pixels of the footage, the middle of its first pixel
+at (0.5, 0.5). ``joints`` are 21, wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip, null
+where not clicked. ``object`` are polygons around the visible parts of the object, ``front`` around whatever hides it
+besides the hand that holds it, ``hand`` around the visible hand; where they overlap, the last of these counts. ``on``
+and ``off`` are strokes, lines or single points that lie on the object or beside it (``strokes``). A frame may have any
+of these. A missing key means that there is no label, an empty list of polygons that nothing of it is visible.
+``sha256``, the footage's checksum (``labelled_footage``), is optional.
+
+A key frame: what one person has clicked on one frame of a grasp, the joints of the hand and polygons.
+
+A change names the joints and polygons (``outlines``) that it touches; null takes one away:
+
+    {"joints": {"4": [x, y], "5": "unseen", "6": null},
+     "outlines": {"<its name>": {"of": "object", "closed": true, "points": [[x, y], ...]}},
+     "hidden": false, "deleted": false}
+
+An outline is "of" the object, of what is in "front" or of the "hand"; or it is a stroke "on" the object or "off" it,
+which is always closed, that is done.
+
+Points are in pixels of the footage, the middle of its first pixel at (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from getagrip.clip.read import MAX_CLIP_IMAGE_PIXELS, MAX_CLIP_SIDE_PX
+from getagrip.errors import InputError
+from getagrip.hands.model import Side
+from getagrip.io import files
+from getagrip.io.files import Json, shorten_value
+from getagrip.readers.footage import MAX_FOOTAGE_SIDE_PX
+from getagrip.readers.masks.mask_regions import fill_polygons
+from getagrip.studio.store.history import TOKEN_PATTERN, RefusedError, Row, VersionDatabase, Versions
+
+OBJECT_LABEL, OCCLUDER_LABEL, HAND_LABEL = 1, 2, 3
+"""Values of a label map; 0 is everything else."""
+MAX_FRAME_INDEX = 10**7
+MIN_SHAPE_POINTS = {"object": 3, "front": 3, "hand": 3, "on": 1, "off": 1}
+"""Kinds of polygons, then of strokes, and how many points such a shape has at least."""
+MAX_POLYGONS_PER_KIND, MAX_LABEL_POLYGON_CORNERS = 100, 5000
+"""Most polygons of one frame and kind; most corners of one polygon."""
+
+Polygons = tuple[Float[ndarray, "_ 2"], ...]
+
+
+@dataclass(frozen=True)
+class FrameLabels:
+    """The labels of one frame."""
+
+    joints: Float[ndarray, "21 2"] | None = None
+    """NaN where not clicked [px]."""
+    object: Polygons | None = None
+    front: Polygons | None = None
+    hand: Polygons | None = None
+    on: Polygons | None = None
+    """Strokes on the object."""
+    off: Polygons | None = None
+    """Strokes beside it."""
+
+
+@dataclass(frozen=True)
+class Labels:
+    """The labels of the frames of one grasp."""
+
+    video: str
+    """Name of the footage."""
+    size: tuple[int, int]
+    """Width and height of its images [px]."""
+    side: Side
+    fps: float
+    first: int
+    last: int
+    frames: dict[int, FrameLabels]
+    sha256: str = ""
+    """Checksum of the footage; empty where it is not known."""
+
+    @property
+    def clicks(self) -> dict[int, Float[ndarray, "21 2"]]:
+        """The joints, where there are any: rising frames."""
+        return {n: frame.joints for n, frame in sorted(self.frames.items()) if frame.joints is not None}
+
+    @property
+    def drawn(self) -> list[int]:
+        """Frames on which the object has polygons or strokes, or is marked as not visible: rising."""
+        return [n for n, frame in sorted(self.frames.items()) if frame.object is not None or frame.on]
+
+    def label_maps(self) -> dict[int, UInt8[ndarray, "H W"]]:
+        """Make label maps with 0, ``OBJECT_LABEL``, ``OCCLUDER_LABEL`` or ``HAND_LABEL`` from polygons.
+
+        ``strokes.key_masks`` uses strokes, too.
+
+        Of the frames ``drawn``.
+        """
+        return {n: _render_label_map(self.frames[n], self.size) for n in self.drawn}
+
+
+def _render_label_map(frame: FrameLabels, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:
+    out = np.zeros(size[::-1], np.uint8)
+    for value, shapes in ((OBJECT_LABEL, frame.object), (OCCLUDER_LABEL, frame.front), (HAND_LABEL, frame.hand)):
+        corners = [shape.ravel().tolist() for shape in shapes or ()]
+        out[fill_polygons(Path(), "", corners, size)] = value
+    return out
+
+
+def read_label_file(path: str | Path) -> Labels:
+    """Read the labels in a file. Raises ``InputError``."""
+    return parse_labels(files.read_json(Path(path)), path)
+
+
+def write_label_file(labels: Labels, path: str | Path) -> None:
+    """Write labels to a file, a line for each frame, whole or not at all."""
+    fields = labels_to_json(labels)
+    frames = ",\n".join(f"  {json.dumps(n)}: {json.dumps(frame)}" for n, frame in fields.pop("frames").items())
+    files.write_bytes(Path(path), f'{json.dumps(fields)[:-1]}, "frames": {{\n{frames}\n}}}}\n'.encode())
+
+
+def labels_to_json(labels: Labels) -> files.Json:
+    """Write labels as the file has them."""
+    fields = {key: getattr(labels, key) for key in ("video", "side", "fps", "first", "last")}
+    frames = {str(n): _frame_to_json(frame) for n, frame in sorted(labels.frames.items())}
+    whole = {"sha256": labels.sha256} if labels.sha256 else {}
+    return fields | whole | {"size": list(labels.size), "frames": frames}
+
+
+def _frame_to_json(frame: FrameLabels) -> dict[str, object]:
+    out: dict[str, object] = {}
+    if frame.joints is not None:
+        out["joints"] = [None if np.isnan(point).any() else _round_point(point) for point in frame.joints]
+    for key in MIN_SHAPE_POINTS:
+        shapes = getattr(frame, key)
+        if shapes is not None:
+            out[key] = [[_round_point(point) for point in shape] for shape in shapes]
+    return out
+
+
+def _round_point(point: Float[ndarray, "2"]) -> list[float]:
+    """Round to a hundredth of a pixel, more than anybody can click."""
+    return [round(float(x), 2) for x in point]
+
+
+def parse_labels(content: files.Json, source: str | Path) -> Labels:
+    """Parse labels from JSON, everything checked. Raises ``InputError`` in the name of ``source``."""
+    checked = _LabelParser(Path(source), content)
+    size = checked.size()
+    first = checked.whole("first", 0, MAX_FRAME_INDEX)
+    last = checked.whole("last", first, MAX_FRAME_INDEX)
+    return Labels(
+        video=checked.name("video"),
+        size=size,
+        side=checked.side(),
+        fps=checked.rate(),
+        first=first,
+        last=last,
+        frames=checked.frames(first, last, size),
+        sha256=checked.checksum("sha256"),
+    )
+
+
+@dataclass(frozen=True)
+class _LabelParser:
+    """A reader of one JSON object."""
+
+    path: Path
+    content: files.Json
+
+    def __post_init__(self) -> None:
+        needed = {"video", "size", "side", "fps", "first", "last", "frames"}
+        _check_label_keys(self.path, "", self.content, {*needed, "sha256"}, needed)
+
+    def wrong(self, key: str, expected: str) -> InputError:
+        return InputError(self.path, key, files.shorten_value(self.content[key]), expected)
+
+    def name(self, key: str) -> str:
+        value = self.content[key]
+        if not isinstance(value, str) or not files.is_portable_name(value):
+            raise self.wrong(key, "the name of a file, without folders")
+        return value
+
+    def checksum(self, key: str) -> str:
+        value = self.content.get(key, "")
+        if not isinstance(value, str) or not re.fullmatch(r"([0-9a-f]{64})?", value):
+            raise self.wrong(key, "64 hexadecimal digits, as sha256sum prints them")
+        return value
+
+    def side(self) -> Side:
+        value: Literal["left", "right"] = self.content["side"]
+        if value not in get_args(Side):
+            raise self.wrong("side", "left or right")
+        return value
+
+    def rate(self) -> float:
+        value = self.content["fps"]
+        if not _is_finite_number(value) or not 0.1 <= value <= 10_000:
+            raise self.wrong("fps", "frames per second, 0.1 to 10000")
+        return float(value)
+
+    def whole(self, key: str, least: int, most: int) -> int:
+        value = self.content[key]
+        if type(value) is not int or not least <= value <= most:
+            raise self.wrong(key, f"a whole number from {least} to {most}")
+        return value
+
+    def size(self) -> tuple[int, int]:
+        value = self.content["size"]
+        pair = isinstance(value, list | tuple) and len(value) == 2 and all(type(n) is int and n > 0 for n in value)
+        if not pair or max(value) > MAX_CLIP_SIDE_PX or value[0] * value[1] > MAX_CLIP_IMAGE_PIXELS:
+            raise self.wrong(
+                "size", f"width and height in pixels, at most {MAX_CLIP_IMAGE_PIXELS / 1e6:g} million in all"
+            )
+        return value[0], value[1]
+
+    def frames(self, first: int, last: int, size: tuple[int, int]) -> dict[int, FrameLabels]:
+        value = self.content["frames"]
+        if not isinstance(value, Mapping):
+            raise self.wrong("frames", "an object with a key for each frame")
+        out = {}
+        for text, frame in value.items():
+            where = f"frames.{files.printable(text)}"
+            if not re.fullmatch(r"0|[1-9][0-9]{0,7}", text) or not first <= int(text) <= last:
+                raise InputError(self.path, where, "a key that is no frame of the grasp", f"{first} to {last}")
+            if not isinstance(frame, Mapping):
+                raise InputError(self.path, where, files.shorten_value(frame), "an object")
+            _check_label_keys(self.path, where, frame, {"joints", *MIN_SHAPE_POINTS}, set())
+            out[int(text)] = FrameLabels(
+                _parse_joints(self.path, f"{where}.joints", frame.get("joints"), size),
+                **{
+                    kind: _parse_polygons(self.path, f"{where}.{kind}", frame.get(kind), size, least)
+                    for kind, least in MIN_SHAPE_POINTS.items()
+                },
+            )
+        return dict(sorted(out.items()))
+
+
+def _check_label_keys(path: Path, where: str, value: Mapping[str, object], known: set[str], needed: set[str]) -> None:
+    """Raise ``InputError`` for unknown and missing keys."""
+    for key in [key for key in value if key not in known][:1]:
+        expected = f"one of {', '.join(sorted(known))}"
+        raise InputError(path, f"{where}.{files.printable(key)}".lstrip("."), "an unknown key", expected)
+    for key in sorted(needed - value.keys())[:1]:
+        raise InputError(path, key, "no such key", "it")
+
+
+def _parse_joints(path: Path, key: str, value: object, size: tuple[int, int]) -> Float[ndarray, "21 2"] | None:
+    if value is None:
+        return None
+    if not isinstance(value, list | tuple) or len(value) != 21:
+        raise InputError(path, key, files.shorten_value(value), "21 points, null where there is none")
+    rows = [
+        [math.nan, math.nan] if point is None else _parse_point(path, f"{key}[{n}]", point, size)
+        for n, point in enumerate(value)
+    ]
+    return np.array(rows)
+
+
+def _parse_polygons(path: Path, key: str, value: object, size: tuple[int, int], least: int) -> Polygons | None:
+    if value is None:
+        return None
+    if not isinstance(value, list | tuple) or len(value) > MAX_POLYGONS_PER_KIND:
+        raise InputError(path, key, files.shorten_value(value), f"at most {MAX_POLYGONS_PER_KIND} shapes [[x, y], ...]")
+    out = []
+    for n, corners in enumerate(value):
+        if not isinstance(corners, list | tuple) or not least <= len(corners) <= MAX_LABEL_POLYGON_CORNERS:
+            raise InputError(
+                path,
+                f"{key}[{n}]",
+                files.shorten_value(corners),
+                f"{least} to {MAX_LABEL_POLYGON_CORNERS} corners [x, y]",
+            )
+        out.append(np.array([_parse_point(path, f"{key}[{n}][{k}]", corner, size) for k, corner in enumerate(corners)]))
+    return tuple(out)
+
+
+def _parse_point(path: Path, key: str, value: object, size: tuple[int, int]) -> list[float]:
+    """Parse a point in the image, or beside it by no more than the image's own size."""
+    pair = isinstance(value, list | tuple) and len(value) == 2 and all(_is_finite_number(x) for x in value)
+    if not pair or not isinstance(value, list | tuple):
+        raise InputError(path, key, files.shorten_value(value), "[x, y] in pixels")
+    if not all(-side <= x <= 2 * side for x, side in zip(value, size, strict=True)):
+        raise InputError(path, key, files.shorten_value(value), f"a point in or about the {size[0]} x {size[1]} image")
+    return [float(x) for x in value]
+
+
+def _is_finite_number(value: object) -> bool:
+    """Return whether it is a finite number, and no truth value."""
+    return type(value) is int or (isinstance(value, float) and math.isfinite(value))
+
+
+KEYFRAME_SETTABLE_FIELDS = frozenset({"joints", "outlines", "hidden", "deleted"})
+"""Fields that the page may change."""
+UNSEEN_JOINT = "unseen"
+"""A joint that a person has looked for and not found, so that the next one is asked for."""
+N_KEYFRAME_JOINTS = 21
+MAX_KEYFRAME_SIZE_PX = (MAX_FOOTAGE_SIDE_PX, MAX_FOOTAGE_SIDE_PX)
+"""Size for images whose size is not at hand."""
+KEYFRAMES_SCHEMA = """
+CREATE TABLE keyframe_versions (
+    seq INTEGER PRIMARY KEY AUTOINCREMENT,
+    change TEXT NOT NULL UNIQUE, tab TEXT NOT NULL, at TEXT NOT NULL,
+    undoes INTEGER REFERENCES keyframe_versions (seq),
+    keyframe TEXT NOT NULL, task TEXT NOT NULL, annotator TEXT NOT NULL,
+    grasp TEXT NOT NULL, frame INTEGER NOT NULL,
+    joints TEXT NOT NULL, outlines TEXT NOT NULL, hidden INTEGER NOT NULL, deleted INTEGER NOT NULL
+);
+CREATE INDEX versions_of_keyframe ON keyframe_versions (keyframe, seq);
+CREATE INDEX versions_of_grasp ON keyframe_versions (grasp, annotator, tab);
+CREATE VIEW keyframes AS SELECT * FROM keyframe_versions AS v
+    WHERE seq = (SELECT max(seq) FROM keyframe_versions WHERE keyframe = v.keyframe) AND NOT deleted;
+"""
+
+Point = list[float]
+
+
+@dataclass(frozen=True)
+class KeyFrame:
+    """The state of a key frame."""
+
+    keyframe: str
+    """``<grasp>:<frame>``: two tabs that begin the same one mean the same."""
+    task: str
+    annotator: str
+    grasp: str
+    """The mark that it belongs to."""
+    frame: int
+    joints: Json = field(default_factory=dict)
+    """By number, "0" to "20": a point, or ``UNSEEN_JOINT``."""
+    outlines: Json = field(default_factory=dict)
+    """Polygons by a name that the page chooses: ``of``, ``closed`` and ``points``."""
+    hidden: bool = False
+    """The object is not visible."""
+    deleted: bool = False
+
+    def polygons(self, kind: str) -> Polygons:
+        """Return the closed shapes of a kind."""
+        shapes = [one["points"] for one in self.outlines.values() if one["of"] == kind and one["closed"]]
+        return tuple(np.array(points, dtype=float) for points in shapes)
+
+    def labels(self) -> FrameLabels:
+        """Return its labels, as a file has them."""
+        shapes = {kind: self.polygons(kind) or None for kind in MIN_SHAPE_POINTS}
+        if self.hidden and shapes["object"] is None:
+            shapes["object"] = ()
+        clicked = any(point != UNSEEN_JOINT for point in self.joints.values())
+        return FrameLabels(self._joints() if clicked else None, **shapes)
+
+    def _joints(self) -> Float[ndarray, "21 2"]:
+        points = [self.joints.get(str(n), UNSEEN_JOINT) for n in range(N_KEYFRAME_JOINTS)]
+        return np.array([[math.nan] * 2 if point == UNSEEN_JOINT else point for point in points])
+
+
+KEYFRAME_COLUMNS = tuple(one.name for one in fields(KeyFrame))
+
+
+def keyframe_versions(database: VersionDatabase) -> Versions[KeyFrame]:
+    """Return the key frames in a database."""
+    order = "task, annotator, grasp, frame"
+    return Versions(
+        database,
+        "keyframe_versions",
+        "keyframes",
+        "keyframe",
+        "grasp",
+        order,
+        KEYFRAME_COLUMNS,
+        _keyframe_to_row,
+        _keyframe_from_row,
+    )
+
+
+def blank_keyframe(task: str, annotator: str, grasp: str, frame: int) -> KeyFrame:
+    """Make a frame without labels."""
+    return KeyFrame(f"{grasp}:{frame}", task, annotator, grasp, frame)
+
+
+def change_from_labels(frame: FrameLabels) -> Json:
+    """Return the change that gives a blank key frame the labels of a file."""
+    joints = {} if frame.joints is None else {
+        str(n): UNSEEN_JOINT if np.isnan(point).any() else point.tolist() for n, point in enumerate(frame.joints)
+    }  # fmt: skip
+    shapes = [(kind, shape) for kind in MIN_SHAPE_POINTS for shape in getattr(frame, kind) or ()]
+    outlines = {
+        f"outline-{n:04d}": {"of": kind, "closed": True, "points": shape.tolist()}
+        for n, (kind, shape) in enumerate(shapes)
+    }
+    return {"joints": joints, "outlines": outlines, "hidden": frame.object == ()}
+
+
+def apply_keyframe_change(keyframe: KeyFrame, sets: Json, size: tuple[int, int]) -> KeyFrame:
+    """Apply a change to a key frame on an image of some width and height. Raises ``RefusedError``."""
+    for key in ("hidden", "deleted"):
+        if not isinstance(sets.get(key, False), bool):
+            raise RefusedError(f"{key} must be true or false (got {shorten_value(sets[key])})")
+    if sets.get("deleted"):
+        return replace(keyframe, deleted=True)
+    old = (
+        blank_keyframe(keyframe.task, keyframe.annotator, keyframe.grasp, keyframe.frame)
+        if keyframe.deleted
+        else keyframe
+    )
+    new = replace(
+        old,
+        joints=old.joints
+        | {key: _checked_joint(key, value, size) for key, value in _checked_object(sets, "joints").items()},
+        outlines=old.outlines
+        | {key: _checked_outline(key, value, size) for key, value in _checked_object(sets, "outlines").items()},
+        hidden=sets.get("hidden", old.hidden),
+    )
+    new = replace(new, joints=_drop_nulls(new.joints), outlines=_drop_nulls(new.outlines))
+    for kind in MIN_SHAPE_POINTS:
+        if sum(one["of"] == kind for one in new.outlines.values()) > MAX_POLYGONS_PER_KIND:
+            raise RefusedError(f"outlines must be at most {MAX_POLYGONS_PER_KIND} of one kind on a frame")
+    return new if new.joints or new.outlines or new.hidden else replace(new, deleted=True)
+
+
+def _checked_object(sets: Json, key: str) -> Json:
+    value = sets.get(key, {})
+    if not isinstance(value, dict):
+        raise RefusedError(f"{key} must be an object (got {shorten_value(value)})")
+    return value
+
+
+def _checked_joint(key: str, value: object, size: tuple[int, int]) -> Point | str | None:
+    if key not in map(str, range(N_KEYFRAME_JOINTS)):
+        raise RefusedError(f"joints must be numbers 0 to {N_KEYFRAME_JOINTS - 1} (got {shorten_value(key)})")
+    if value is None or value == UNSEEN_JOINT:
+        return None if value is None else UNSEEN_JOINT
+    return _checked_point(value, size)
+
+
+def _checked_outline(key: str, value: object, size: tuple[int, int]) -> Json | None:
+    if not TOKEN_PATTERN.fullmatch(key):
+        raise RefusedError(f"outlines must be 8 to 64 letters, digits or hyphens (got {shorten_value(key)})")
+    if value is None:
+        return None
+    if not isinstance(value, dict) or value.keys() != {"of", "closed", "points"}:
+        raise RefusedError(f"outline must be of, closed and points (got {shorten_value(value)})")
+    if value["of"] not in tuple(MIN_SHAPE_POINTS) or not isinstance(value["closed"], bool):
+        raise RefusedError(
+            f"outline must be one of {', '.join(MIN_SHAPE_POINTS)}, closed or not (got {shorten_value(value)})"
+        )
+    points, least = value["points"], MIN_SHAPE_POINTS[value["of"]] if value["closed"] else 1
+    if not isinstance(points, list) or not least <= len(points) <= MAX_LABEL_POLYGON_CORNERS:
+        raise RefusedError(
+            f"outline must be {least} to {MAX_LABEL_POLYGON_CORNERS} points (got {shorten_value(points)})"
+        )
+    return value | {"points": [_checked_point(point, size) for point in points]}
+
+
+def _checked_point(value: object, size: tuple[int, int]) -> Point:
+    """Check a point in the image, or beside it by no more than the image's own size, to a hundredth of a pixel."""
+    numbers = isinstance(value, list) and len(value) == 2 and all(type(x) in (int, float) for x in value)
+    if not numbers or not isinstance(value, list):
+        raise RefusedError(f"point must be [x, y] (got {shorten_value(value)})")
+    if not all(-side <= x <= 2 * side for x, side in zip(value, size, strict=True)):  # false for NaN, too
+        raise RefusedError(
+            f"point must be one in or about the {size[0]} x {size[1]} image (got {shorten_value(value)})"
+        )
+    return [round(float(x), 2) for x in value]
+
+
+def _drop_nulls(values: Json) -> Json:
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _keyframe_to_row(keyframe: KeyFrame) -> Row:
+    return tuple(json.dumps(value) if isinstance(value, dict) else value for value in asdict(keyframe).values())
+
+
+def _keyframe_from_row(row: Row) -> KeyFrame:
+    values = dict(zip(KEYFRAME_COLUMNS, row, strict=True))
+    parsed = {key: json.loads(values[key]) for key in ("joints", "outlines")}
+    for key, value in parsed["joints"].items():
+        _checked_joint(key, value, MAX_KEYFRAME_SIZE_PX)
+    for key, value in parsed["outlines"].items():
+        _checked_outline(key, value, MAX_KEYFRAME_SIZE_PX)
+    return KeyFrame(**values | parsed | {key: bool(values[key]) for key in ("hidden", "deleted")})

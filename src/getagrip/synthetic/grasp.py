@@ -1,0 +1,369 @@
+"""Grasps by contact: an object is brought to an open hand, then each finger closes joint by joint until it touches.
+
+The object comes to one of two places of the hand: the ``palm`` (power grasp) or the ``pinch`` between the pads of thumb
+and fingers (precision grasp). A finger bends all its joints together until one of its segments touches; the joints up
+to that segment stop, the others go on (the automatic grasp of Miller and Allen, "GraspIt!", 2004). The thumb comes
+last and stops at the fingers as well; where it would miss the object, or stand in it, it is steered aside.
+
+Signed distances to an object, and the least of them of points on their way to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Real
+from numpy import ndarray
+
+from getagrip.clip import FINGERS
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.hands.generic import rest_fingers
+from getagrip.hands.model import KNUCKLES, PosedHand, ShapedHand, joint_transforms, skin
+
+
+class SignedDistance:
+    """Signed distance to a mesh of closed parts, which may overlap, negative inside [m]."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        import igl
+
+        self._mesh, self._box = mesh, (mesh.vertices.min(axis=0), mesh.vertices.max(axis=0))
+        self._tree, self._winding = igl.AABB(), igl.FastWindingNumberBVH()
+        self._tree.init(mesh.vertices, mesh.faces)
+        self._winding.init(mesh.vertices, mesh.faces)
+
+    def __call__(self, X: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch"]:
+        """Distances at points in the mesh's frame."""
+        flat = np.ascontiguousarray(X.reshape(-1, 3))
+        distance = np.sqrt(self._tree.squared_distance(self._mesh.vertices, self._mesh.faces, flat)[0])
+        boxed = np.flatnonzero(np.all((flat >= self._box[0]) & (flat <= self._box[1]), axis=1))
+        inside = boxed[np.abs(self._winding.winding_number(flat[boxed])) > 0.5] if boxed.size else boxed
+        distance[inside] *= -1.0
+        return distance.reshape(X.shape[:-1])
+
+
+class MinSignedDistance:
+    """The least signed distance [m] of each of some groups of moving points.
+
+    A distance changes by no more than the way of its point, so only points that may be the nearest are looked up.
+    """
+
+    def __init__(self, distance: SignedDistance, groups: int, X: Float[ndarray, "*#groups n 3"]) -> None:
+        """``X`` is where the points are to begin with: those of each group, or of all of them."""
+        self._distance = distance
+        self._known = np.array(np.broadcast_to(distance(X), (groups, X.shape[-2])))
+        self._at = np.array(np.broadcast_to(X, (*self._known.shape, 3)))
+
+    def __call__(self, X: Float[ndarray, "B n 3"], which: Int[ndarray, "B"]) -> Float[ndarray, "B"]:
+        """Return the least distance of each of the groups ``which``, whose points are now at X."""
+        way, known = np.linalg.norm(X - self._at[which], axis=-1), self._known[which]
+        group, point = np.nonzero((known - way <= (known + way).min(axis=1, keepdims=True)) & (way > 0.0))
+        if group.size:
+            now = X[group, point]
+            known[group, point], way[group, point] = self._distance(now), 0.0
+            self._known[which[group], point], self._at[which[group], point] = known[group, point], now
+        return np.asarray((known - way).min(axis=1))
+
+
+CONTACT_DEPTH_M = 0.0005
+"""A segment touches when it is this deep in the object [m]: soft flesh."""
+MAX_HOLD_GAP_M = 0.002
+"""A finger no farther than this holds on to the object [m]."""
+FLESH_COMPLIANCE_M = 0.0015
+"""How deep flesh gives way [m]."""
+THUMB_ABDUCTION_ANGLES_DEG = (-10.0, 10.0, -20.0, 20.0, -30.0, 30.0)
+"""Range of the thumb's metacarpal to the side [deg]."""
+
+
+@dataclass(frozen=True)
+class Grip:
+    """A grip: place and directions in the object's frame; directions need not be of unit length."""
+
+    hold: Literal["palm", "pinch"]
+    at: tuple[float, float, float]
+    """The point that comes to the palm, or between the pads [m]."""
+    into: tuple[float, float, float]
+    """The direction away from the hand."""
+    aside: tuple[float, float, float]
+    """Palm: the direction that comes to lie on the thumb's side. Pinch: from the thumb to the fingers."""
+
+    @property
+    def R_hand_obj(self) -> Float[ndarray, "3 3"]:
+        """The object's rotation in the frame of a right hand."""
+        hold = _HOLDS[self.hold]
+        T_hand_grip = _frame_from_axes(np.array(hold.into), np.array(hold.aside), np.array(hold.at))
+        return (
+            T_hand_grip[:3, :3]
+            @ _frame_from_axes(np.array(self.into), np.array(self.aside), np.array(self.at))[:3, :3].T
+        )
+
+
+def perturb_grip(grip: Grip, turn_deg: float, shift_mm: float, rng: np.random.Generator) -> Grip:
+    """Turn a grip about a random axis and shift it, by these root mean squares."""
+    R = se3.exp_so3(np.radians(turn_deg) / np.sqrt(3.0) * rng.normal(size=3))
+    at = np.array(grip.at) + 1e-3 * shift_mm / np.sqrt(3.0) * rng.normal(size=3)
+    return Grip(grip.hold, _triple(at), _triple(R @ grip.into), _triple(R @ grip.aside))
+
+
+def _triple(v: Float[ndarray, "3"]) -> tuple[float, float, float]:
+    return float(v[0]), float(v[1]), float(v[2])
+
+
+@dataclass(frozen=True)
+class _Hold:
+    """A place of the right hand that objects come to, and how its fingers move there; angles in degrees."""
+
+    at: tuple[float, float, float]
+    into: tuple[float, float, float]
+    aside: tuple[float, float, float]
+    opened: tuple[tuple[float, float, float], ...]
+    closed: tuple[tuple[float, float, float], ...]
+    thumb_aim: tuple[float, float, float] | None
+    """Direction of the opposed thumb's metacarpal; nothing: as at rest."""
+    thumb_pad: tuple[float, float, float]
+    """Direction of the opposed thumb's pad."""
+
+
+_FIST_ANGLES_DEG = ((80.0, 95.0, 60.0),) * 4
+_HOLDS = {
+    "palm": _Hold(
+        at=(0.018, -0.02, 0.0),
+        into=(0.0, -1.0, 0.0),
+        aside=(-0.2, 0.0, 0.98),
+        opened=((-35.0, -10.0, 0.0), *((-12.0, 4.0, 2.0),) * 4),
+        closed=((50.0, 55.0, 65.0), *_FIST_ANGLES_DEG),
+        thumb_aim=(-0.38, -0.80, 0.46),
+        thumb_pad=(-0.85, 0.35, -0.1),
+    ),
+    "pinch": _Hold(
+        at=(0.004, -0.058, 0.022),
+        into=(-0.10, -1.0, 0.0),
+        aside=(-1.0, 0.10, -0.15),
+        opened=((-10.0, -8.0, -5.0), *((32.0, 22.0, 8.0),) * 4),
+        closed=((50.0, 25.0, 30.0), *((70.0, 75.0, 40.0),) * 4),
+        thumb_aim=(-0.50, -0.72, 0.45),
+        thumb_pad=(-0.85, 0.35, -0.25),
+    ),
+}
+
+
+def _frame_from_axes(
+    into: Real[ndarray, "3"], aside: Real[ndarray, "3"], at: Real[ndarray, "3"]
+) -> Float[ndarray, "4 4"]:
+    """Frame with x along ``into`` and y as near to ``aside`` as can be."""
+    x = np.asarray(into, dtype=float) / np.linalg.norm(into)
+    z = np.cross(x, aside)
+    z /= np.linalg.norm(z)
+    return se3.rigid(np.stack([x, np.cross(z, x), z], axis=-1), np.asarray(at, dtype=float))
+
+
+class _Obstacles:
+    """Fingers that the thumb may touch, of posed hands."""
+
+    def __init__(self, posed: PosedHand, members: Bool[ndarray, "V"]) -> None:
+        from scipy.spatial import cKDTree
+
+        self._trees = [cKDTree(vertices) for vertices in posed.vertices[:, members]]
+        self._points, self._normals = posed.vertices[:, members], posed.normals[:, members]
+
+    def gap(self, X: Float[ndarray, "B n 3"], which: Int[ndarray, "B"]) -> Float[ndarray, "B"]:
+        """Compute the smallest signed distance from points of the thumb to the fingers of some of the hands [m]."""
+        gap = np.empty(len(X))
+        for b, hand in enumerate(which):
+            distance, nearest = self._trees[hand].query(X[b])
+            side = np.sum((X[b] - self._points[hand, nearest]) * self._normals[hand, nearest], axis=-1)
+            gap[b] = (np.where(side < 0.0, -1.0, 1.0) * distance).min()
+        return gap
+
+
+@dataclass(frozen=True)
+class Grasper:
+    """A right generic hand and an object; poses are of the object in the hand."""
+
+    hand: ShapedHand
+    distance: SignedDistance
+    hold: Literal["palm", "pinch"]
+    steer: tuple[float, float] = (0.0, 0.0)
+    """Turns of the opposed thumb's metacarpal: aside, and about itself [deg]."""
+
+    def posed(self, angles: Float[ndarray, "*batch 5 3"]) -> PosedHand:
+        """Return the hand with its joints bent by ``angles`` [rad].
+
+        The thumb comes first; each finger goes from the palm to the tip.
+        """
+        return self.hand.with_pose(self._pose(angles).reshape(*angles.shape[:-2], 45))
+
+    def _pose(self, angles: Float[ndarray, "*batch 5 3"]) -> Float[ndarray, "*batch 15 3"]:
+        """Rotation vectors of the joints [rad] in MANO's order."""
+        hold = _HOLDS[self.hold]
+        rest = rest_fingers()
+        pose = np.zeros((*angles.shape[:-2], 15, 3))
+        for f, name in enumerate(FINGERS):
+            hinges = rest[name].axes[:, 1]
+            pose[..., KNUCKLES[f] - 1 : KNUCKLES[f] + 2, :] = angles[..., f, :, None] * hinges
+        if hold.thumb_aim is not None:
+            along, _, back = rest["thumb"].axes[0]
+            opposed = _frame_from_axes(np.array(hold.thumb_aim), np.array(hold.thumb_pad), np.zeros(3))[:3, :3]
+            aside, roll = np.radians(self.steer)
+            opposed = opposed @ se3.exp_so3(np.array([0.0, aside, 0.0])) @ se3.exp_so3(np.array([roll, 0.0, 0.0]))
+            R = opposed @ np.stack([along, -back, np.cross(along, -back)])
+            first = KNUCKLES[0] - 1
+            pose[..., first, :] = se3.log_so3(R @ se3.exp_so3(pose[..., first, :]))
+        return pose
+
+    def opened(self) -> PosedHand:
+        """Return the hand before it closes."""
+        return self.posed(np.radians(_HOLDS[self.hold].opened))
+
+    def approach(self, grip: Grip) -> Float[ndarray, "4 4"]:
+        """Return ``T_hand_obj`` of the object at the open hand.
+
+        In the palm it touches; in the pinch nothing need touch.
+        """
+        hold = _HOLDS[self.hold]
+        T_hand_grip = _frame_from_axes(np.array(hold.into), np.array(hold.aside), np.array(hold.at))
+        T_hand_obj = T_hand_grip @ se3.inverse(
+            _frame_from_axes(np.array(grip.into), np.array(grip.aside), np.array(grip.at))
+        )
+        if self.hold == "pinch":
+            return T_hand_obj
+        away = np.arange(0.12, -0.04, -0.002)
+        offset = away[:, None] * np.array(hold.into) / np.linalg.norm(hold.into)
+        palm = self.opened().vertices[self._members(0, wrist=True)]
+        X = se3.transform(se3.inverse(T_hand_obj), palm - offset[:, None])
+        k = 0
+        while k < len(away) - 1 and (gap := float(self.distance(X[k]).min())) >= -CONTACT_DEPTH_M:
+            k = min(k + max(int(0.9 * (gap + CONTACT_DEPTH_M) / (away[0] - away[1])), 1), len(away) - 1)
+        return se3.rigid(None, offset[k]) @ T_hand_obj
+
+    def close(self, T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 5 3"]:
+        """Close the hand on the object at each of its poses; return its joint angles [rad]."""
+        angles = np.broadcast_to(np.radians(_HOLDS[self.hold].opened), (len(T_hand_obj), 5, 3))
+        angles = self._sweep(angles, T_hand_obj, range(1, 5))
+        return self._close_thumb(angles, T_hand_obj, self._other_fingers(angles))
+
+    def _other_fingers(self, angles: Float[ndarray, "A 5 3"]) -> _Obstacles:
+        """Return the fingers without the thumb."""
+        return _Obstacles(self.posed(angles), np.any([self._members(f) for f in range(1, 5)], axis=0))
+
+    def _close_thumb(
+        self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"], others: _Obstacles
+    ) -> Float[ndarray, "A 5 3"]:
+        """Close the thumb, from its open position, on the object and the other fingers."""
+        angles = angles.copy()
+        angles[:, 0] = np.radians(_HOLDS[self.hold].opened[0])
+        return self._sweep(angles, T_hand_obj, range(1), others)
+
+    def _sweep(
+        self,
+        angles: Float[ndarray, "A 5 3"],
+        T_hand_obj: Float[ndarray, "A 4 4"],
+        fingers: range,
+        obstacles: _Obstacles | None = None,
+        steps: int = 14,
+    ) -> Float[ndarray, "A 5 3"]:
+        """Bend fingers, joint by joint, until they touch the object or, given other fingers as obstacles, those."""
+        angles, closed = angles.copy(), np.radians(_HOLDS[self.hold].closed)
+        t = np.linspace(0.0, 1.0, steps)[:, None, None, None]
+        T_obj_hand = se3.inverse(T_hand_obj)
+        for stage in range(3):
+            goal = angles.copy()
+            goal[:, list(fingers), stage:] = closed[list(fingers), stage:]
+            frames = joint_transforms(se3.exp_so3(self._pose(angles + t * (goal - angles))), self.hand.joints)
+            for f in fingers:
+                moving = self._members(f, stage)
+                X = skin(self.hand.vertices[moving], self.hand.model.weights[moving], frames, self.hand.joints)
+                reach = self._reach(X, T_obj_hand, obstacles)[:, None]
+                angles[:, f] += reach * (goal[:, f] - angles[:, f])
+        return angles
+
+    def _reach(
+        self, X: Float[ndarray, "S A n 3"], T_obj_hand: Float[ndarray, "A 4 4"], obstacles: _Obstacles | None
+    ) -> Float[ndarray, "A"]:
+        """Return the place in [0, 1] along the sweep of the first contact.
+
+        Steps without possible contact are passed over.
+        """
+        Y = se3.transform(T_obj_hand, X)
+        stride = np.linalg.norm(np.diff(Y, axis=0), axis=-1).max(axis=(0, 2)) + 1e-9
+        gap = np.full(X.shape[:2], np.inf)
+        step, left = np.zeros(X.shape[1], dtype=int), np.arange(X.shape[1])
+        least = MinSignedDistance(self.distance, X.shape[1], Y[0])
+        while left.size:
+            at = step[left]
+            now = least(Y[at, left], left)
+            ahead = np.maximum(np.floor(0.9 * (now + CONTACT_DEPTH_M) / stride[left]).astype(int), 1)
+            if obstacles is not None:  # their distance is a rough one: look at every step
+                now, ahead = np.minimum(now, obstacles.gap(X[at, left], left)), np.ones_like(ahead)
+            gap[at, left] = now
+            step[left] += ahead
+            left = left[(now >= -CONTACT_DEPTH_M) & (step[left] < len(X))]
+        return _first_below(gap, -CONTACT_DEPTH_M)
+
+    def gaps(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 6"]:
+        """Compute the smallest signed distance of each finger, thumb first, and of the palm to the object [m]."""
+        parts = [self._members(f) for f in range(5)] + [self._members(0, wrist=True)]
+        posed = self.posed(angles)
+        return np.stack([self._gap(posed, part, T_hand_obj) for part in parts], axis=-1)
+
+    def thumb_miss(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> float:
+        """Measure how far the thumb stays from the object, or stands in it beyond what flesh yields [m]."""
+        gap = self._gap(self.posed(angles), self._members(0), T_hand_obj)
+        return float(np.maximum(gap, -gap - FLESH_COMPLIANCE_M).max())
+
+    def _gap(
+        self, posed: PosedHand, part: Bool[ndarray, "V"], T_hand_obj: Float[ndarray, "A 4 4"]
+    ) -> Float[ndarray, "A"]:
+        """Smallest signed distance of a part of the hand to the object [m]."""
+        X = se3.transform(se3.inverse(T_hand_obj), posed.vertices[:, part])
+        return np.asarray(self.distance(X).min(axis=1))
+
+    def steered(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> Grasper:
+        """Turn the thumb as little as lets it touch the object at its first, middle and last pose.
+
+        ``angles`` are those of the closed hand.
+        """
+        some = [0, len(angles) // 2, -1]
+        others = self._other_fingers(angles[some])
+
+        def miss(grasper: Grasper) -> float:
+            closed = grasper._close_thumb(angles[some], T_hand_obj[some], others)
+            return grasper.thumb_miss(closed, T_hand_obj[some])
+
+        best, least = self, miss(self)
+        for rolls in ((0.0,), (-20.0, 20.0)):
+            for steer in [(aside, roll) for aside in THUMB_ABDUCTION_ANGLES_DEG for roll in rolls]:
+                if least > MAX_HOLD_GAP_M and (off := miss(replace(self, steer=steer))) < least - MAX_HOLD_GAP_M / 2.0:
+                    best, least = replace(self, steer=steer), off
+        return best
+
+    def _members(self, finger: int, stage: int = 0, wrist: bool = False) -> Bool[ndarray, "V"]:
+        """Vertices that move with a finger's joints from ``stage`` on; or with no joint (the palm)."""
+        weights = self.hand.model.weights
+        if wrist:
+            return np.asarray(weights[:, 0] > 0.5)
+        first = KNUCKLES[finger]
+        return np.asarray(weights[:, first + stage : first + 3].sum(axis=1) > 0.5)
+
+
+def looseness(gaps: Float[ndarray, "6"], hold: Literal["palm", "pinch"]) -> float:
+    """Measure how badly a closed hand holds [m].
+
+    Added are the gaps of the parts that ought to touch, and tenfold their excess depth.
+    """
+    parts = gaps if hold == "palm" else gaps[:3]
+    return float(np.clip(parts, 0.0, 0.02).sum() + 10.0 * np.maximum(-gaps - FLESH_COMPLIANCE_M, 0.0).sum())
+
+
+def _first_below(gap: Float[ndarray, "S A"], level: float) -> Float[ndarray, "A"]:
+    """Return the place in [0, 1] along the first axis where the gap first falls below a level (linear); 1 if never."""
+    below = gap < level
+    k = np.argmax(below, axis=0)
+    column = np.arange(gap.shape[1])
+    before, after = gap[np.maximum(k - 1, 0), column], gap[k, column]
+    part = np.where(k > 0, (before - level) / np.maximum(before - after, 1e-12), 0.0)
+    t = (k - 1 + part) / (len(gap) - 1)
+    return np.where(below.any(axis=0), np.maximum(t, 0.0), 1.0)

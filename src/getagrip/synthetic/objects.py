@@ -1,0 +1,475 @@
+"""Procedural objects of everyday sizes: closed triangle meshes of 500 to 1400 faces, in metres, z up.
+
+Origins are where category CADs have them: vessels at the middle of the base, bottles, cans and glasses at mid-height,
+pans on the handle, flat and thin things in their middle. Handles point along +x.
+
+Smooth deformations of objects: a category's CAD model does not have the shape of the object in the hand.
+
+Closed triangle meshes made of rings: lofts, tubes that grow out of them, and tori.
+
+A **loft** is a stack of rings; its last ring may lie inside the first (a vessel goes up outside and comes down inside).
+A **tube** (handle, spout) leaves where 2 x 2 quads of the loft are taken out, so that the surface stays one closed
+manifold: a mug has genus 1. All faces point outward, all lengths are metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.warp import align_similarity
+
+N_WAVES = 6
+WAVELENGTH_RANGE_DIAMETERS = (0.8, 2.0)
+"""Shortest and longest wave, in diameters of the object: long enough that the surface does not fold."""
+
+
+@dataclass(frozen=True)
+class Deformation:
+    """Points moved by a few sine waves.
+
+    Attributes:
+        waves: (W, 3) wave vectors [rad/m].
+        phase: (W,) phases [rad].
+        amplitude: (W, 3) displacements [m].
+    """
+
+    waves: Float[ndarray, "W 3"]
+    phase: Float[ndarray, "W"]
+    amplitude: Float[ndarray, "W 3"]
+
+    def __call__(self, X: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
+        """Return the deformed points [m]."""
+        return X + np.sin(X @ self.waves.T + self.phase) @ self.amplitude
+
+
+def draw_deformation(mesh: Mesh, share: float, rng: np.random.Generator) -> Deformation:
+    """Draw a random deformation that leaves the mesh off by ``share`` of its diameter (root mean square).
+
+    Counted is what no similarity undoes.
+    """
+    waves = rng.normal(size=(N_WAVES, 3))
+    waves *= (
+        2.0
+        * np.pi
+        / (
+            mesh.diameter
+            * rng.uniform(*WAVELENGTH_RANGE_DIAMETERS, (N_WAVES, 1))
+            * np.linalg.norm(waves, axis=1)[:, None]
+        )
+    )
+    unit = Deformation(
+        waves, rng.uniform(0.0, 2.0 * np.pi, N_WAVES), 1e-3 * mesh.diameter * rng.normal(size=(N_WAVES, 3))
+    )
+    deformed = Mesh(unit(mesh.vertices), mesh.faces)
+    return replace(unit, amplitude=unit.amplitude * share * mesh.diameter / misfit(mesh, deformed))
+
+
+def misfit(cad: Mesh, grasped: Mesh) -> float:
+    """Compute the root mean square distance of corresponding points of the surfaces after the best similarity [m]."""
+    T, size = align_similarity(cad, grasped, resize=True)
+    off = np.sum((se3.transform(T, size * cad.vertices) - grasped.vertices) ** 2, axis=1)
+    return float(np.sqrt(grasped.vertex_areas @ off / grasped.vertex_areas.sum()))
+
+
+_N_SECTION_POINTS = 8
+"""Points of a tube's section: the corners and edge middles of the 2 x 2 quads that it replaces."""
+
+
+@dataclass(frozen=True)
+class Tube:
+    """A bent bar with elliptical sections that starts, and perhaps ends, on a loft."""
+
+    path: Float[ndarray, "P 3"]
+    """Centre line [m]; its first point (and its last, unless ``capped``) picks the nearest vertex of the loft."""
+    side: Float[ndarray, "3"]
+    """Unit direction of the sections' width, normal to the path."""
+    width: Float[ndarray, "P"]
+    """Half widths, along ``side`` [m]."""
+    height: Float[ndarray, "P"]
+    """Half heights, across ``side`` [m]."""
+    capped: bool = False
+    """True if the tube ends in the air."""
+
+    def sections(self, n: int = _N_SECTION_POINTS) -> Float[ndarray, "P n 3"]:
+        """Return one ring per point of the path, counter-clockwise about the direction of travel."""
+        tangent = np.gradient(self.path, axis=0)
+        across = np.cross(tangent, self.side)
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        phi = (np.arange(n) * 2.0 * np.pi / n)[:, None]
+        u, v = self.width[:, None, None] * self.side, (self.height[:, None] * across)[:, None]
+        return np.asarray(self.path[:, None] + np.cos(phi) * u + np.sin(phi) * v)
+
+
+def loft(rings: Float[ndarray, "R N 3"], tubes: Sequence[Tube] = ()) -> Mesh:
+    """Build a closed mesh from rings, each counter-clockwise about the direction to the next, with tubes on it.
+
+    The first and the last ring are capped by a fan about their mean.
+    """
+    R, N, _ = rings.shape
+    grid = np.arange(R * N).reshape(R, N)
+    taken = np.zeros((R, N), dtype=bool)  # quad (i, j) lies between rings i, i + 1 and columns j, j + 1
+    parts = [rings.reshape(-1, 3), rings[0].mean(axis=0)[None], rings[-1].mean(axis=0)[None]]
+    faces = [_fan_triangles(R * N, grid[0][::-1]), _fan_triangles(R * N + 1, grid[-1])]
+    for tube in tubes:
+        offset = sum(len(part) for part in parts)
+        ends = [_cut_hole(rings, taken, tube.path[0])] + (
+            [] if tube.capped else [_cut_hole(rings, taken, tube.path[-1])]
+        )
+        inner = tube.sections()[1 : len(tube.path) if tube.capped else -1]
+        start = _align_loop(rings.reshape(-1, 3), ends[0], inner[0])
+        parts.append(inner.reshape(-1, 3))
+        ids = np.concatenate([start[None], offset + np.arange(inner.size // 3).reshape(-1, _N_SECTION_POINTS)])
+        if tube.capped:
+            parts.append(inner[-1].mean(axis=0)[None])
+            faces.append(_fan_triangles(offset + inner.size // 3, ids[-1]))
+        else:  # seen along the tube, the hole where it ends runs the other way round
+            ids = np.concatenate([ids, _align_loop(rings.reshape(-1, 3), ends[1][::-1], inner[-1])[None]])
+        faces.append(walls(ids, np.zeros(ids.shape, dtype=bool)))
+    faces.append(walls(grid, taken))
+    vertices, triangles = np.concatenate(parts), np.concatenate(faces)
+    used, triangles = np.unique(triangles, return_inverse=True)
+    return Mesh(vertices[used], triangles.reshape(-1, 3).astype(np.int64))
+
+
+def torus(path: Float[ndarray, "P 3"], side: Float[ndarray, "3"], radius: float) -> Mesh:
+    """Make a closed ring of round section about a closed path (counter-clockwise about ``side``)."""
+    tangent = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0)
+    across = np.cross(tangent, side)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    phi = (np.arange(_N_SECTION_POINTS) * 2.0 * np.pi / _N_SECTION_POINTS)[:, None]
+    rings = path[:, None] + radius * (np.cos(phi) * side + np.sin(phi) * across[:, None])
+    ids = np.arange(rings.size // 3).reshape(-1, _N_SECTION_POINTS)
+    faces = walls(np.concatenate([ids, ids[:1]]))
+    return Mesh(rings.reshape(-1, 3), faces)
+
+
+def merge_closed_meshes(meshes: Sequence[Mesh]) -> Mesh:
+    """Join several closed parts to one mesh; they may overlap."""
+    offsets = np.cumsum([0, *(len(m.vertices) for m in meshes)])
+    faces = [m.faces + offset for m, offset in zip(meshes, offsets[:-1], strict=True)]
+    return Mesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces))
+
+
+def walls(ids: Int[ndarray, "R N"], taken: Bool[ndarray, "R N"] | None = None) -> Int[ndarray, "F 3"]:
+    """Make two triangles per quad between successive rings of vertex ids, but for the quads taken out."""
+    taken = np.zeros(ids.shape, dtype=bool) if taken is None else taken
+    a, b = ids[:-1], np.roll(ids, -1, axis=1)[:-1]
+    c, d = np.roll(ids, -1, axis=1)[1:], ids[1:]
+    keep = ~taken[:-1].ravel()
+    lower, upper = np.stack([a, b, c], -1).reshape(-1, 3)[keep], np.stack([a, c, d], -1).reshape(-1, 3)[keep]
+    return np.concatenate([lower, upper])
+
+
+def _fan_triangles(pole: int, ring: Int[ndarray, "N"]) -> Int[ndarray, "N 3"]:
+    """Triangles between a vertex and a ring that is counter-clockwise seen from outside."""
+    return np.stack([np.full(len(ring), pole), ring, np.roll(ring, -1)], axis=-1)
+
+
+def _cut_hole(rings: Float[ndarray, "R N 3"], taken: ndarray, at: Float[ndarray, "3"]) -> Int[ndarray, "8"]:
+    """Take the four quads around the vertex nearest to ``at`` out; their boundary, counter-clockwise from outside."""
+    N = rings.shape[1]
+    i, j = divmod(int(np.argmin(np.linalg.norm(rings[1:-1] - at, axis=-1))), N)
+    i += 1
+    for di in (-1, 0):
+        for dj in (-1, 0):
+            taken[i + di, (j + dj) % N] = True
+    around = [(-1, -1), (-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1)]
+    return np.array([(i + di) * N + (j + dj) % N for di, dj in around])
+
+
+def _align_loop(
+    vertices: Float[ndarray, "V 3"], loop: Int[ndarray, "8"], ring: Float[ndarray, "8 3"]
+) -> Int[ndarray, "8"]:
+    """Rotate the loop so that it meets the ring with the least twist."""
+    rolls = [np.roll(loop, k) for k in range(len(loop))]
+    return min(rolls, key=lambda ids: float(np.linalg.norm(vertices[ids] - ring, axis=1).sum()))
+
+
+def parse_profile(corners: str, across: float, along: float) -> list[tuple[float, float]]:
+    """Parse corners "a b, a b, ..." in units of two sizes of the object, in metres."""
+    pairs = [pair.split() for pair in corners.split(",")]
+    return [(float(a) * across, float(b) * along) for a, b in pairs]
+
+
+def _resample_polyline(corners: Sequence[tuple[float, float]], spacing: float) -> Float[ndarray, "P 2"]:
+    """Divide long pieces of a polyline evenly, at most ``spacing`` apart, and keep its corners."""
+    p = np.asarray(corners, dtype=float)
+    pieces = []
+    for a, b in pairwise(p):
+        n = max(int(np.ceil(np.linalg.norm(b - a) / spacing)), 1)
+        pieces.append(a + (b - a) * np.arange(n)[:, None] / n)
+    return np.concatenate([*pieces, p[-1:]])
+
+
+def revolve_profile(
+    corners: Sequence[tuple[float, float]], columns: int, spacing: float, focus: float = 0.0
+) -> Float[ndarray, "R N 3"]:
+    """Make the rings of a surface of revolution about z, from a profile of (radius, height) corners.
+
+    ``focus`` in [0, 1) crowds the columns towards +x, where a handle is to leave.
+    """
+    profile = _resample_polyline(corners, spacing)
+    s = np.arange(columns) * 2.0 * np.pi / columns
+    angle = s - focus * np.sin(s)
+    r, z = profile[:, :1], profile[:, 1:]
+    return np.stack(np.broadcast_arrays(r * np.cos(angle), r * np.sin(angle), z), axis=-1)
+
+
+def slab(size: tuple[float, float, float], power: float, bevel: float, columns: int, layers: int) -> Mesh:
+    """Make a box with rounded upright edges (superellipse) and bevelled rims, centred at the origin."""
+    lx, ly, lz = (s / 2.0 for s in size)
+    s = (np.arange(columns) + 0.5) * 2.0 * np.pi / columns
+    c, sn = np.cos(s), np.sin(s)
+    section = np.stack([np.sign(c) * np.abs(c) ** (2 / power), np.sign(sn) * np.abs(sn) ** (2 / power)], axis=-1)
+    shrink = 1.0 - bevel / min(lx, ly)
+    caps = np.array([0.25, 0.6]) * shrink
+    heights = np.linspace(-lz + bevel, lz - bevel, layers + 1)
+    factor = np.concatenate([caps, [shrink], np.ones(layers + 1), [shrink], caps[::-1]])
+    z = np.concatenate([np.full(3, -lz), heights, np.full(3, lz)])
+    rings = factor[:, None, None] * section * np.array([lx, ly])
+    return loft(np.concatenate([rings, np.broadcast_to(z[:, None, None], (*rings.shape[:2], 1))], axis=-1))
+
+
+def arc(points: Sequence[tuple[float, float]], n: int) -> Float[ndarray, "n 3"]:
+    """Sample a smooth curve in the plane y = 0 through (x, z) points (a Catmull-Rom spline) at n parameters."""
+    p = np.asarray(points, dtype=float)
+    knots = np.concatenate([[0.0], np.cumsum(np.sqrt(np.linalg.norm(np.diff(p, axis=0), axis=1)))])
+    slope = np.gradient(p, knots, axis=0)
+    t = np.linspace(0.0, knots[-1], n)
+    k = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(p) - 2)
+    h = np.diff(knots)[k, None]
+    u = (t - knots[k])[:, None] / h
+    start = (1.0 + 2.0 * u) * (1.0 - u) ** 2 * p[k] + u * (1.0 - u) ** 2 * h * slope[k]
+    end = u**2 * (3.0 - 2.0 * u) * p[k + 1] + u**2 * (u - 1.0) * h * slope[k + 1]
+    xz = start + end
+    return np.stack([xz[:, 0], np.zeros(n), xz[:, 1]], axis=-1)
+
+
+_Y = np.array([0.0, 1.0, 0.0])
+
+
+def handle(points: Sequence[tuple[float, float]], n: int, width: float, height: float, capped: bool = False) -> Tube:
+    return Tube(arc(points, n), _Y, np.full(n, width), np.full(n, height), capped)
+
+
+def _vessel_profile(
+    base: float, rim: float, height: float, wall: float, belly: float = 0.0
+) -> list[tuple[float, float]]:
+    """Profile of an open vessel, outside then inside; ``belly`` widens it at mid-height [m]."""
+    lift = np.linspace(0.0, 1.0, 6)
+    r = base + (rim - base) * lift + belly * np.sin(np.pi * lift)
+    out = [(0.35 * base, 0.0), (0.9 * base, 0.0), (base, 0.04 * height)]
+    out += [(float(a), float(h)) for a, h in zip(r[1:], lift[1:] * height, strict=True)]
+    inner = [(float(a) - wall, float(h)) for a, h in zip(r[::-1], lift[::-1] * height, strict=True)]
+    return [*out, *inner[:-1], (0.9 * (base - wall), wall + 0.03 * height), (0.35 * base, wall)]
+
+
+def bottle(radius: float = 0.036, height: float = 0.22, neck: float = 0.013) -> Mesh:
+    """Make a closed bottle with shoulders, a neck and a cap."""
+    body = parse_profile("0.5 0, 0.92 0, 1 0.02, 1 0.56, 0.96 0.62, 0.8 0.7, 0.63 0.77", radius, height)
+    top = parse_profile("1 0.83, 0.95 0.89, 1.15 0.895, 1.15 0.99, 0.5 1", neck, height)
+    return loft(revolve_profile([(r, z - height / 2) for r, z in body + top], 24, 0.013))
+
+
+def ketchup(radius: float = 0.038, height: float = 0.19, flatness: float = 0.62) -> Mesh:
+    """Make a flat squeeze bottle that stands on its wide cap."""
+    cap = "0.3 0, 0.62 0, 0.66 0.02, 0.6 0.17, 0.66 0.19"
+    body = "0.85 0.27, 0.92 0.36, 0.86 0.52, 0.95 0.68, 1 0.84, 0.92 0.95, 0.6 1, 0.25 1"
+    profile = parse_profile(f"{cap}, {body}", radius, height)
+    rings = revolve_profile([(r, z - height / 2) for r, z in profile], 24, 0.014)
+    upper = np.clip((rings[..., 2] / height + 0.5 - 0.15) / 0.2, 0.0, 1.0)  # the cap is round
+    rings[..., 1] *= 1.0 - (1.0 - flatness) * upper
+    return loft(rings)
+
+
+def can(radius: float = 0.034, height: float = 0.11) -> Mesh:
+    """Make a closed tin with raised rims."""
+    low = parse_profile("0.35 0.02, 0.7 0.02, 0.9 0.02, 0.93 0, 0.98 0, 1 0.03, 0.965 0.055", radius, height)
+    profile = [*low, *((r, height - z) for r, z in low[::-1])]
+    return loft(revolve_profile([(r, z - height / 2) for r, z in profile], 26, 0.011))
+
+
+def jar(radius: float = 0.037, height: float = 0.105) -> Mesh:
+    """Make a closed jar: a straight body, and a lid of nearly its width."""
+    corners = parse_profile(
+        "0.5 0, 0.92 0, 1 0.03, 1 0.7, 0.94 0.76, 0.87 0.78, 0.9 0.8, 0.9 0.98, 0.5 1", radius, height
+    )
+    return loft(revolve_profile([(r, z - height / 2) for r, z in corners], 26, 0.011))
+
+
+def ball(radius: float = 0.035) -> Mesh:
+    """Make a ball."""
+    angles = np.linspace(0.06, np.pi - 0.06, 17).tolist()
+    return loft(revolve_profile([(radius * np.sin(a), -radius * np.cos(a)) for a in angles], 32, radius))
+
+
+def glass(base: float = 0.029, rim: float = 0.038, height: float = 0.13, wall: float = 0.003) -> Mesh:
+    """Make a tumbler, wider at the rim."""
+    corners = [(r, z - height / 2) for r, z in _vessel_profile(base, rim, height, wall)]
+    return loft(revolve_profile(corners, 24, 0.018))
+
+
+def bowl(rim: float = 0.078, height: float = 0.07, wall: float = 0.004) -> Mesh:
+    """Make a round bowl on a small foot."""
+    return loft(revolve_profile(_vessel_profile(0.42 * rim, rim, height, wall, belly=0.16 * rim), 28, 0.019))
+
+
+def plate(radius: float = 0.11, height: float = 0.02, wall: float = 0.004) -> Mesh:
+    """Make a dinner plate with a raised rim."""
+    under = parse_profile("0.25 0, 0.6 0, 0.72 0.35, 0.86 0.75, 0.985 0.95, 1 1", radius, height - wall)
+    over = [
+        (r, z + wall) for r, z in parse_profile("0.985 1, 0.85 0.75, 0.7 0.35, 0.58 0, 0.25 0", radius, height - wall)
+    ]
+    return loft(revolve_profile(under + over, 30, 0.028))
+
+
+def mug(radius: float = 0.041, height: float = 0.095, wall: float = 0.004, reach: float = 0.036) -> Mesh:
+    """Make a straight mug with a D-shaped handle."""
+    path = [(radius + a, z) for a, z in parse_profile("0 0.8, 0.75 0.82, 1 0.52, 0.65 0.24, 0 0.26", reach, height)]
+    rings = revolve_profile(_vessel_profile(0.95 * radius, radius, height, wall), 24, 0.016, focus=0.25)
+    return loft(rings, [handle(path, 11, 0.0065, 0.0045)])
+
+
+def pitcher(radius: float = 0.06, height: float = 0.19, wall: float = 0.004, reach: float = 0.05) -> Mesh:
+    """Make a water jug with a long handle and, opposite, a spout."""
+    path = [
+        (radius + a, z) for a, z in parse_profile("-0.02 0.87, 0.8 0.86, 1 0.55, 0.7 0.22, -0.1 0.2", reach, height)
+    ]
+    rings = revolve_profile(_vessel_profile(0.85 * radius, radius, height, wall), 22, 0.028, focus=0.25)
+    top = np.clip(4.0 * rings[..., 2] / height - 3.0, 0.0, 1.0)
+    rings[..., 0] -= 0.3 * radius * top * np.clip(-rings[..., 0] / radius, 0.0, 1.0) ** 4
+    return loft(rings, [handle(path, 12, 0.011, 0.007)])
+
+
+def cup(radius: float = 0.044, height: float = 0.066, wall: float = 0.003, reach: float = 0.026) -> Mesh:
+    """Make a round-bellied tea cup with a small ear."""
+    path = [(radius + a, z) for a, z in parse_profile("-0.07 0.76, 0.85 0.78, 0.9 0.48, -0.17 0.36", reach, height)]
+    rings = revolve_profile(
+        _vessel_profile(0.58 * radius, radius, height, wall, belly=0.13 * radius), 24, 0.013, focus=0.3
+    )
+    return loft(rings, [handle(path, 9, 0.004, 0.0032)])
+
+
+def vessel_with_handle(
+    profile: Sequence[tuple[float, float]], rim: float, height: float, bar: float, rise: float
+) -> Mesh:
+    """Make a vessel with one straight handle of length ``bar`` along +x; the origin lies on the handle."""
+    n, at = 10, 0.62 * height
+    points = [(rim + a, at + z) for a, z in parse_profile("0 0, 0.25 0.45, 0.6 0.9, 1 1", bar, rise)]
+    width = np.interp(np.linspace(0, 1, n), [0, 0.2, 0.45, 0.85, 1], [0.010, 0.009, 0.0125, 0.0125, 0.007])
+    tube = Tube(arc(points, n), _Y, width, 0.62 * width, capped=True)
+    mesh = loft(revolve_profile(profile, 30, 0.022, focus=0.55), [tube])
+    grip = np.array([rim + 0.62 * bar, 0.0, at + 0.9 * rise])
+    return Mesh(mesh.vertices - grip, mesh.faces)
+
+
+def pan(rim: float = 0.125, height: float = 0.042, bar: float = 0.17) -> Mesh:
+    """Make a frying pan."""
+    return vessel_with_handle(_vessel_profile(0.78 * rim, rim, height, 0.004), rim, height, bar, 0.03)
+
+
+def saucepan(rim: float = 0.085, height: float = 0.095, bar: float = 0.15) -> Mesh:
+    """Make a deep pan with a straight handle."""
+    return vessel_with_handle(_vessel_profile(0.96 * rim, rim, height, 0.004), rim, height, bar, 0.015)
+
+
+def kettle(radius: float = 0.075, height: float = 0.15, reach: float = 0.052) -> Mesh:
+    """Make a closed coffee pot: a handle at +x, a spout at -x, a knob on the lid."""
+    body = "0.35 0, 0.7 0, 0.93 0, 1 0.06, 0.99 0.25, 0.9 0.5, 0.76 0.72, 0.62 0.86"
+    lid = "0.6 0.88, 0.3 0.93, 0.12 0.935, 0.16 0.98, 0.09 1"
+    rings = revolve_profile(parse_profile(f"{body}, {lid}", radius, height), 28, 0.021)
+    bow = [
+        (radius + a, z) for a, z in parse_profile("-0.34 0.74, 0.75 0.8, 1 0.55, 0.6 0.24, -0.01 0.2", reach, height)
+    ]
+    spout = arc(parse_profile("-0.93 0.4, -1.25 0.55, -1.42 0.8, -1.62 0.9", radius, height), 7)
+    thick = np.linspace(0.014, 0.007, 7)
+    return loft(rings, [handle(bow, 12, 0.010, 0.0065), Tube(spout, _Y, thick, thick, capped=True)])
+
+
+def box(size: tuple[float, float, float] = (0.062, 0.12, 0.17)) -> Mesh:
+    """Make a carton."""
+    return slab(size, 14.0, 0.0015, 32, 9)
+
+
+def phone(size: tuple[float, float, float] = (0.074, 0.15, 0.0095)) -> Mesh:
+    """Make a phone, screen up."""
+    return slab(size, 9.0, 0.002, 48, 2)
+
+
+def book(size: tuple[float, float, float] = (0.13, 0.19, 0.02)) -> Mesh:
+    """Make a closed book."""
+    return slab(size, 14.0, 0.0015, 48, 2)
+
+
+def laptop(size: tuple[float, float, float] = (0.24, 0.30, 0.02)) -> Mesh:
+    """Make a closed laptop."""
+    return slab(size, 12.0, 0.004, 48, 2)
+
+
+def spoon(length: float = 0.19, width: float = 0.046) -> Mesh:
+    """Make a table spoon, its bowl at +x."""
+    s = np.linspace(0.0, 1.0, 26)
+    x = length * (s - 0.5)
+    section = [0.07, 0.13, 0.16, 0.17, 0.13, 0.09, 0.08, 0.10, 0.30, 0.45, 0.5, 0.46, 0.34, 0.12]
+    places = [0.0, 0.02, 0.06, 0.12, 0.3, 0.5, 0.6, 0.66, 0.73, 0.80, 0.87, 0.94, 0.98, 1.0]
+    half = width * np.interp(s, places, section)
+    hollow = 0.26 * width * np.interp(s, [0.66, 0.80, 0.92, 1.0], [0.0, 1.0, 0.9, 0.25])
+    bend = 0.07 * length * (np.cos(np.pi * np.clip(s / 0.75, 0, 1)) * 0.5 + 0.5) - hollow
+    phi = np.arange(16) * np.pi / 8.0
+    y = half[:, None] * np.cos(phi)
+    z = bend[:, None] + hollow[:, None] * np.cos(phi) ** 2 + 0.0014 * np.sin(phi)
+    return loft(np.stack([np.broadcast_to(x[:, None], y.shape), y, z], axis=-1))
+
+
+def scissors(length: float = 0.19, spread: float = 0.30) -> Mesh:
+    """Make slightly open scissors, blades towards +x.
+
+    Two crossing blades and two finger rings, ``spread`` in radians.
+    """
+    halves = []
+    n = 14
+    s = np.linspace(0.0, 1.0, n)
+    for sign in (1.0, -1.0):
+        x = length * (s - 0.42)
+        away = -sign * (np.tan(spread / 2.0) * x - 0.05 * length * np.clip(0.28 - s, 0.0, 1.0) / 0.28)
+        path = np.stack([x, away, np.full(n, sign * 0.0013)], axis=-1)
+        half = length * np.interp(s, [0.0, 0.25, 0.42, 0.55, 1.0], [0.024, 0.026, 0.042, 0.044, 0.006])
+        blade = Tube(path, np.array([0.0, 0.0, 1.0]), np.where(s < 0.3, 0.0034, 0.0014), half, capped=True)
+        halves.append(loft(blade.sections()))
+        phi = np.arange(20) * np.pi / 10.0
+        centre = path[0] + length * np.array([-0.115, 0.02 * sign, 0.0])
+        ring = centre + length * np.stack([0.125 * np.cos(phi), 0.085 * np.sin(phi), np.zeros(20)], axis=-1)
+        halves.append(torus(ring, np.array([0.0, 0.0, 1.0]), 0.0048))
+    return merge_closed_meshes(halves)
+
+
+def tape(radius: float = 0.049, core: float = 0.0415, width: float = 0.048) -> Mesh:
+    """Make a roll of packing tape."""
+    z = width / 2.0
+    corners = [(core, -z), (radius, -z), (radius, z), (core, z), (core, -z)]
+    rings = revolve_profile(corners, 32, 0.012)[:-1]
+    ids = np.arange(rings.size // 3).reshape(rings.shape[:2])
+    return Mesh(rings.reshape(-1, 3), walls(np.concatenate([ids, ids[:1]])))
+
+
+def banana(length: float = 0.18, thickness: float = 0.034) -> Mesh:
+    """Make a banana, its ends up."""
+    path = arc(parse_profile("-0.5 0.25, -0.44 0.15, -0.25 0.04, 0 0, 0.25 0.04, 0.44 0.18", length, length), 34)
+    along, radii = [0.0, 0.1, 0.25, 0.5, 0.75, 1.0], [0.3, 0.35, 0.85, 1.0, 0.85, 0.25]
+    half = thickness / 2.0 * np.interp(np.linspace(0.0, 1.0, 34), along, radii)
+    return loft(Tube(path, _Y, half, half, capped=True).sections())
+
+
+def umbrella(radius: float = 0.031, length: float = 0.27) -> Mesh:
+    """Make a folded umbrella, its handle up."""
+    cloth = "0.3 0, 0.65 0, 0.84 0.06, 0.94 0.2, 0.87 0.5, 0.9 0.69, 1 0.82"
+    corners = parse_profile(f"{cloth}, 0.62 0.835, 0.62 0.98, 0.55 1, 0.2 1", radius, length)
+    return loft(revolve_profile([(r, z - length / 2) for r, z in corners], 24, 0.016))

@@ -1,0 +1,287 @@
+"""The segments of an uncut clip, from its masks, hands and camera alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+from scipy.ndimage import gaussian_filter1d
+from threadpoolctl import threadpool_limits
+
+from getagrip.clip import Clip, Masks, Segment, Truth, check_clip, check_masks, read_masks
+from getagrip.clip.timeline import SIDES, Side, State
+from getagrip.errors import InputError
+from getagrip.fitting.hand.refine_hand import repair_hand
+from getagrip.fitting.options import Options
+from getagrip.geometry import se3
+from getagrip.readers.trackers import EXTRAPOLATED_HANDS_KEY
+from getagrip.stable_grasps.definition import Definition
+from getagrip.stable_grasps.find import segment
+from getagrip.timelines.detect.grasp_evidence import (
+    HINGE_FIT_METHOD,
+    HingeFit,
+    NothingToFitError,
+    fit_hinge,
+    split_runs,
+)
+from getagrip.timelines.detect.image_motion import ImageMotion, image_motion
+from getagrip.timelines.detect.semi_markov import (
+    MOTION_STATES,
+    Division,
+    Motion,
+    best_fit_in_window,
+    cheapest_division,
+    division_margins,
+    window_costs,
+)
+
+STATE_WITHOUT_GRASP: dict[Motion, State] = {"static": "static", "held": "contact", "free": "free"}
+"""State of a segment where no grasp is stable."""
+MAX_MASK_LAG_S = 0.13
+"""Longest time between masks that are compared [s]."""
+MAX_FIT_FRAMES, MIN_FIT_FRAMES = 60, 6
+"""Frames of a fit, at most and at least."""
+FIT_OVERLAP_FRAMES, FIT_CONTEXT_FRAMES = 30, 150
+"""A fit is tried in the pauses beside it and this many frames beyond them, up to the second number on either side."""
+MAX_SEGMENTED_FRAMES = 3000
+"""Most frames of a clip: every window of frames has a cost."""
+CONTACT_10_MM_DEFINITION = Definition(contact=0.010)
+
+
+STATIC_CAMERA_NOTE = "which is a guess: nothing is known of its motion"
+"""Said of a camera that is taken to stand still (``clip.read``)."""
+FINGER_SMOOTHING_SIGMA_S = 0.067
+"""Fingers are smoothed in time by a Gaussian of this standard deviation [s]: those of trackers tremble, and with them
+what they touch."""
+
+
+@dataclass(frozen=True)
+class DetectedSegment:
+    """A segment, and how sure it is.
+
+    Attributes:
+        segment: frames, state and side.
+        margin: how much more the next best division costs, in which these frames are in another state; that of a grasp
+            is the grasp's segment (``semi_markov.margins``) [nats].
+    """
+
+    segment: Segment
+    margin: float
+
+
+@dataclass(frozen=True)
+class DetectedSegments:
+    """All segments of a clip, which follow each other, and what was assumed."""
+
+    segments: tuple[DetectedSegment, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def grasps(self) -> list[tuple[int, int]]:
+        """First and last frame of each stable grasp, both included."""
+        return [(s.segment.first, s.segment.last) for s in self.segments if s.segment.state == "grasp"]
+
+
+def find_segments(
+    clip: Clip,
+    masks: Masks | None = None,
+    definition: Definition = CONTACT_10_MM_DEFINITION,
+    options: Options | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> DetectedSegments:
+    """Find the segments of a clip; ``masks`` are read from its folder where none are given.
+
+    Without ``clip.world`` the camera is taken to stand still. Frames whose mask is not known are left out; halfway
+    between two others one segment ends and the next begins. The clip's own segments and truth are not read. Of
+    ``options`` the method and the frames that follow from others do not matter. Raises ``UsageError`` for masks of
+    another clip, and ``InputError`` for what no clip can be, and for more than ``MAX_SEGMENTED_FRAMES`` frames.
+    """
+    check_clip(clip)
+    if len(clip) > MAX_SEGMENTED_FRAMES:
+        raise InputError(clip.origin, "frames", f"{len(clip)} frames", f"at most {MAX_SEGMENTED_FRAMES}: cut the clip")
+    masks = read_masks(clip) if masks is None else masks
+    check_masks(clip, masks)
+    options = replace(options or Options(), method=HINGE_FIT_METHOD)
+    rows = np.flatnonzero(masks.known)
+    if 1 < len(rows) < len(clip):
+        rate = clip.fps * (len(rows) - 1) / (rows[-1] - rows[0])
+        some = replace(replace(clip, segments=(), truth=None).take(rows), fps=rate)
+        return _spread_to_all_frames(
+            find_segments(some, masks.take(rows), definition, options, progress), rows, len(clip)
+        )
+    clip, glitches = repair_hand(replace(clip, segments=(), truth=None), options)
+    moved = _image_motion_of_clip(clip, masks)
+    with threadpool_limits(1, user_api="blas"):
+        fits = _fit_moving_parts(clip, masks, _runs_between_static(moved), options, progress)
+    cost = window_costs(moved, fits)
+    division = cheapest_division(cost)
+    notes = [] if clip.world is not None else ["the camera is taken to stand still: a guess"]
+    if EXTRAPOLATED_HANDS_KEY in clip.provenance:
+        notes.append(
+            f"{EXTRAPOLATED_HANDS_KEY}: {clip.provenance[EXTRAPOLATED_HANDS_KEY]}: a grasp found there is one, too"
+        )
+    if glitches is not None and glitches.frames:
+        notes.append(str(glitches))
+    margin = division_margins(cost, division)
+    return DetectedSegments(
+        tuple(_detected_segments(clip, division, margin, fits, moved.jitter, definition)), tuple(notes)
+    )
+
+
+def _spread_to_all_frames(found: DetectedSegments, rows: Int[ndarray, "n"], frames: int) -> DetectedSegments:
+    """Segments found in some of the frames, in all."""
+    begins = [0, *(int(rows[s.segment.first - 1] + rows[s.segment.first]) // 2 + 1 for s in found.segments[1:])]
+    ends = [*(begin - 1 for begin in begins[1:]), frames - 1]
+    spread = tuple(
+        replace(one, segment=replace(one.segment, first=first, last=last))
+        for one, first, last in zip(found.segments, begins, ends, strict=True)
+    )
+    note = f"{frames - len(rows)} of {frames} frames have no mask: they are in the segment of the frames beside them"
+    return DetectedSegments(spread, (*found.notes, note))
+
+
+def moving_runs(clip: Clip, masks: Masks) -> list[tuple[int, int]]:
+    """Return first and last frame of each run of frames in which the object moves, by image motion alone."""
+    return _runs_between_static(_image_motion_of_clip(clip, masks))
+
+
+def _image_motion_of_clip(clip: Clip, masks: Masks) -> ImageMotion:
+    return image_motion(clip, masks, min(max(1, round(MAX_MASK_LAG_S * clip.fps)), len(clip) - 1))
+
+
+def _runs_between_static(moved: ImageMotion) -> list[tuple[int, int]]:
+    """Return the runs between the static segments of the cheapest division into static and free."""
+    division = cheapest_division(window_costs(moved, []))
+    lies = np.zeros(moved.moved.shape[1], dtype=bool)
+    for (first, last), state in zip(division.spans, division.states, strict=True):
+        lies[first : last + 1] = MOTION_STATES[state] == "static"
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], lies, [True]])))
+    return [(int(first), int(end) - 1) for first, end in edges.reshape(-1, 2)]
+
+
+def _fit_moving_parts(
+    clip: Clip,
+    masks: Masks,
+    runs: Sequence[tuple[int, int]],
+    options: Options,
+    progress: Callable[[float], None],
+) -> list[HingeFit]:
+    """Fit the object to each known hand wherever it does not lie still; none where nothing can be fitted."""
+    hands, parts, fits = _clips_by_hand(clip, masks), list(split_runs(runs, MAX_FIT_FRAMES, MIN_FIT_FRAMES)), []
+    for k, frames in enumerate(parts):
+        before = parts[k - 1][-1] + 1 - FIT_OVERLAP_FRAMES if k else 0
+        after = parts[k + 1][0] + FIT_OVERLAP_FRAMES if k + 1 < len(parts) else len(clip)
+        around = np.arange(
+            max(0, before, frames[0] - FIT_CONTEXT_FRAMES), min(len(clip), after, frames[-1] + 1 + FIT_CONTEXT_FRAMES)
+        )
+        for by, seen, known in hands:
+            with suppress(NothingToFitError):
+                fits.append(fit_hinge(by, seen, frames[known[frames]], around[known[around]], options))
+        progress((k + 1) / len(parts))
+    return fits
+
+
+def _clips_by_hand(clip: Clip, masks: Masks) -> list[tuple[Clip, Masks, Bool[ndarray, "T"]]]:
+    """Return the clip with each known hand for its own, and the frames in which that is known."""
+    hands = [(clip, masks, clip.hand_known(clip.side))]
+    for side in SIDES:
+        by = clip.with_side(side)
+        if by is not None and by is not clip:  # its own pixels are not known apart
+            hands.append((by, replace(masks, hand=None), clip.hand_known(side)))
+    return hands
+
+
+def _detected_segments(
+    clip: Clip,
+    division: Division,
+    margin: Float[ndarray, "n"],
+    fits: Sequence[HingeFit],
+    jitter: float,
+    definition: Definition,
+) -> Iterator[DetectedSegment]:
+    """Yield the segments of a division; grasped ones are divided by Eq. 2.
+
+    A hand may hold an object steadily before it lifts it, and after it has set it down: then the grasp takes frames
+    from the static segments beside it.
+    """
+    spans, motions = division.spans, [MOTION_STATES[state] for state in division.states]
+    lengths = spans[:, 1] + 1 - spans[:, 0]
+    owner = np.repeat(np.arange(len(spans)), lengths)
+    stable, sides = np.full(len(clip), -1), dict[int, Side]()
+    lying = np.where(np.array(motions) == "static", lengths, 0)
+    for k in np.flatnonzero(np.array(motions) == "held"):
+        first, last = (int(n) for n in spans[k])
+        before, after = (int(lying[n]) if 0 <= n < len(spans) else 0 for n in (k - 1, k + 1))
+        fit = best_fit_in_window(fits, first, last, jitter)
+        by, known = clip.with_side(fit.side), clip.hand_known(fit.side)
+        assert by is not None
+        before = before - int(np.flatnonzero(~known[first - before : first]).max(initial=-1)) - 1
+        after = int(np.argmin([*known[last + 1 : last + 1 + after], False]))
+        sides[int(k)] = fit.side
+        found = reconstruct_segment(by, fit, first, last, before, after)
+        for n, (a, b) in enumerate(stable_grasps_in(by, found, definition)):
+            taken = np.arange(a, b + 1)
+            taken = taken[stable[a : b + 1] < 0]
+            owner[taken], stable[taken] = k, n
+    key = np.stack([owner, stable], axis=1)
+    breaks = np.flatnonzero(np.any(np.diff(key, axis=0), axis=1)) + 1
+    for rows in np.split(np.arange(len(clip)), breaks):
+        k = owner[rows[0]]
+        state = "grasp" if stable[rows[0]] >= 0 else STATE_WITHOUT_GRASP[motions[k]]
+        side = sides.get(int(k)) if state in ("grasp", "contact") else None
+        yield DetectedSegment(Segment(state, int(rows[0]), int(rows[-1]), side), float(margin[k]))
+
+
+@dataclass(frozen=True)
+class ReconstructedMotion:
+    """An object in some frames that follow each other: as a hand holds it, and as it lies before and after.
+
+    Attributes:
+        frames: (n,) the frames.
+        grasped: (n,) true in the frames in which a hand grasps it.
+        T_cam_obj: (n, 4, 4) poses of the object.
+        T_cam_hand: (n, 4, 4) poses of the hand.
+        scale: of the object.
+    """
+
+    frames: Int[ndarray, "n"]
+    fits: Bool[ndarray, "n"]
+    T_cam_obj: Float[ndarray, "n 4 4"]
+    T_cam_hand: Float[ndarray, "n 4 4"]
+    scale: float
+
+
+def reconstruct_segment(
+    clip: Clip, fit: HingeFit, first: int, last: int, still_before: int, still_after: int
+) -> ReconstructedMotion:
+    """Return a fit in its segment, with the object still in the world before and after.
+
+    There the hand's pose is the fit's if it was tried there, else the clip's.
+    """
+    frames = np.arange(first - still_before, last + 1 + still_after)
+    inside = (fit.frames >= first) & (fit.frames <= last)
+    T_world_cam = np.tile(np.eye(4), (len(clip), 1, 1)) if clip.world is None else clip.world.T_world_cam
+    T_world_obj = T_world_cam[first : last + 1] @ fit.T_cam_obj[inside]
+    nearest = np.clip(frames, first, last) - first
+    T_cam_obj = se3.inverse(T_world_cam[frames]) @ T_world_obj[nearest]
+    T_cam_obj[still_before : still_before + last + 1 - first] = fit.T_cam_obj[inside]
+    T_cam_hand = clip.hand.T_cam_hand.copy()
+    T_cam_hand[fit.frames] = fit.T_cam_hand
+    return ReconstructedMotion(frames, (frames >= first) & (frames <= last), T_cam_obj, T_cam_hand[frames], fit.scale)
+
+
+def stable_grasps_in(clip: Clip, found: ReconstructedMotion, definition: Definition) -> list[tuple[int, int]]:
+    """Return first and last frame of each stable grasp (Eq. 2) that contains a grasped frame."""
+    part = clip.take(found.frames)
+    fingers = gaussian_filter1d(part.hand.vertices, FINGER_SMOOTHING_SIGMA_S * clip.fps, axis=0, mode="nearest")
+    posed = Truth(found.T_cam_obj, found.scale, found.T_cam_hand, fingers)
+    _, grasps = segment(replace(part, truth=posed), definition)
+    return [
+        (int(found.frames[first]), int(found.frames[last]))
+        for first, last in grasps
+        if found.fits[first : last + 1].any()
+    ]

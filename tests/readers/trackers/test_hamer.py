@@ -1,0 +1,162 @@
+"""Hands from HaMeR's files: written by its own formulas from a known hand, they come back as it was."""
+
+from __future__ import annotations
+
+import pickle
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
+from getagrip.hands.model import SIDE_MIRROR, Side
+from getagrip.provenance import is_assumed
+from getagrip.readers.trackers import Request, read_tracked_hands
+from getagrip.readers.trackers.hamer import HaMeR
+from helpers.estimator_files import (
+    FRAMES,
+    Known,
+    hamer_record,
+    write_npz,
+)
+from helpers.tracked_hands import SIDES, joints_of, request
+
+
+@pytest.mark.parametrize("with_mano", [True, False])
+@pytest.mark.parametrize("kind", ["crop", "full", "assumed", "box"])
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.slow
+def test_hamer(tmp_path: Path, mano_folder: Path, side: Side, kind: str, with_mano: bool) -> None:
+    folder = mano_folder if with_mano else None
+    known = Known(side, folder)
+    paths = [write_npz(tmp_path / f"{name}_0.npz", hamer_record(known, n, kind)) for n, name in enumerate(FRAMES)]
+    hands = read_tracked_hands(paths, HaMeR(), request(side, folder))
+    np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
+    seen = se3.transform(hands.track.T_cam_hand, hands.track.vertices)
+    np.testing.assert_allclose(seen, known.vertices, atol=1e-6)
+    assert hands.found == (0, 1, 2)
+    assert "focal" in str(hands.provenance["hands_focal"])
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_later_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, side: Side) -> None:
+    """The ``.pt`` files of the authors' later code: both hands, boxes in 456 x 256 images; read by torch's safe way."""
+    other: Side = "left" if side == "right" else "right"
+    both = {side: Known(side, None), other: Known(other, None, seed=1)}
+    size = (912, 512)
+    K2 = np.array([[700.0, 0.0, 450.0], [0.0, 700.0, 260.0], [0.0, 0.0, 1.0]])
+    contents = {}
+    for n, name in enumerate(FRAMES):
+        record = {}
+        for which, known in both.items():
+            R, fingers = known.raw(n)
+            box = np.array([200.0, 100.0, 260.0, 190.0])
+            side_px = max(2 * 90.0, 2 * 60.0 * 256 / 192)
+            s = 2.0 * 350.0 / (side_px * known.t[n][2])  # a 456 x 256 image has half the focal length
+            u = (K2[:2, 2] + 700.0 * known.t[n][:2] / known.t[n][2]) / 2.0
+            cam = np.array([s, *(2.0 * (u - [230.0, 145.0]) / (side_px * s))])
+            record[which] = {"pred_cam": cam, "global_orient": R[None], "hand_pose": fingers, "betas": np.zeros(10),
+                             "box_xyxy_456x256": box}  # fmt: skip
+        path = tmp_path / f"frame_{int(name):010d}.pt"
+        with __import__("zipfile").ZipFile(path, "w") as archive:
+            archive.writestr("x/data.pkl", str(n))
+        contents[path.read_bytes()] = record
+    fake_torch(monkeypatch, contents)
+    paths = sorted(tmp_path.glob("*.pt"))
+    hands = read_tracked_hands(paths, HaMeR(), Request(side, FRAMES, np.tile(K2, (3, 1, 1)), size))
+    np.testing.assert_allclose(joints_of(hands), both[side].joints, atol=1e-6)
+
+
+def fake_torch(monkeypatch: pytest.MonkeyPatch, contents: dict[bytes, Any]) -> None:
+    """A torch whose ``load`` gives known content, and only in the safe way."""
+
+    class Tensor:
+        pass
+
+    def load(stream: Any, map_location: str, weights_only: bool) -> Any:
+        assert weights_only is True
+        assert map_location == "cpu"
+        return contents[stream.read()]
+
+    torch = types.ModuleType("torch")
+    torch.Tensor, torch.load = Tensor, load  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "torch", torch)
+
+
+def test_torch_is_named_where_it_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    path = tmp_path / "000007.pt"
+    path.write_bytes(b"PK")
+    with pytest.raises(UsageError, match=r"pip install .*\[torch\]"):
+        read_tracked_hands([path], HaMeR(), request("right"))
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize("side", SIDES)
+def test_keypoints_serve_where_there_is_no_mano(tmp_path: Path, side: Side, flipped: bool) -> None:
+    """The generic hand is fitted to HaMeR's keypoints; those of a left hand may or may not have been mirrored."""
+    known = Known(side, None)
+    paths = []
+    for n, name in enumerate(FRAMES):
+        joints = known.joints[n] - known.t[n]
+        if side == "left" and flipped:
+            joints = joints * SIDE_MIRROR
+        record = hamer_record(known, n, "crop") | {"pred_keypoints_3d": joints}
+        paths.append(write_npz(tmp_path / f"{name}.npz", record))
+    hands = read_tracked_hands(paths, HaMeR(), request(side))
+    assert np.abs(joints_of(hands) - known.joints).max() < 0.01
+    assert "fitted" in str(hands.provenance["hands"])
+
+
+def test_several_hands_in_one_record(tmp_path: Path) -> None:
+    """Rows are hands; the other side's are passed over, of two of one side one is taken."""
+    right, left = Known("right", None), Known("left", None, seed=3)
+    records = [hamer_record(right, 0, "crop"), hamer_record(left, 0, "crop")]
+    both = {key: np.stack([r[key] for r in records]) for key in records[0]}
+    path = write_npz(tmp_path / "000007.npz", both)
+    for side, known in (("right", right), ("left", left)):
+        hands = read_tracked_hands([path], HaMeR(), request(side))  # type: ignore[arg-type]
+        np.testing.assert_allclose(joints_of(hands), known.joints[:1], atol=1e-6)
+    write_npz(path, both | {"right": np.ones(2)})
+    chosen = read_tracked_hands([path], HaMeR(), request("right")).provenance["hands_chosen"]
+    assert "several right hands in 1 of 1 frames" in str(chosen)
+    assert is_assumed(chosen)
+
+
+def test_img_size_as_height_and_width(tmp_path: Path) -> None:
+    """It is read the other way round where the clip's images say so; other proportions are refused."""
+    known = Known("right", None)
+    record = hamer_record(known, 0, "full")
+    path = write_npz(tmp_path / "000007.npz", record | {"img_size": record["img_size"][::-1]})
+    hands = read_tracked_hands([path], HaMeR(), request("right"))
+    np.testing.assert_allclose(joints_of(hands), known.joints[:1], atol=1e-6)
+    assert "img_size read as height and width, a guess" in str(hands.provenance["hands_focal"])
+    write_npz(path, record | {"img_size": np.array([480.0, 480.0])})
+    with pytest.raises(InputError, match=r"must be width and height like the clip's images, 640 x 480.*got 480 x 480"):
+        read_tracked_hands([path], HaMeR(), request("right"))
+
+
+def test_one_file_of_many_images(tmp_path: Path) -> None:
+    """Pickles keyed by the path of the image: a record each, a list of records, or lists of parameters."""
+    known = Known("left", None)
+    records = [hamer_record(known, n, "full") for n in range(3)]
+    keys = [f"/data/video/{name}.jpg" for name in FRAMES]
+    other = hamer_record(Known("right", None, seed=1), 0, "full")
+    mano = [{k: r[k] for k in ("global_orient", "hand_pose", "betas")} | {"is_right": 0} for r in records]
+    for content in (
+        dict(zip(keys, records, strict=True)),
+        {key: [other, record] for key, record in zip(keys, records, strict=True)},
+        {k: {"mano": [m], "cam_trans": [r["pred_cam_t_full"]], "shot": 0}
+         for k, m, r in zip(keys, mano, records, strict=True)},
+    ):  # fmt: skip
+        path = tmp_path / "results.pkl"
+        path.write_bytes(pickle.dumps(content))
+        hands = read_tracked_hands([path], HaMeR(), request("left"))
+        np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
+    path.write_bytes(pickle.dumps({"/data/video/000010.jpg": records[0]}))
+    with pytest.raises(InputError, match=r"no name of a frame \(/data/video/000010.jpg"):
+        read_tracked_hands([path], HaMeR(), request("left"))

@@ -1,0 +1,214 @@
+"""Labelling in a real browser: from clicks to files and a reconstruction, reloaded, nothing lost; two tabs at once."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from getagrip.cli import main
+from getagrip.clip import read_clip
+from getagrip.errors import GetagripError
+from getagrip.io.images import write_image
+from getagrip.studio import jobs
+from getagrip.studio.jobs import BackgroundJob
+from getagrip.studio.store.history import Change
+from helpers.annotation_page import Served, saved
+from helpers.browser import IN_BROWSER, expect, until
+from helpers.labelled_scene import circle, joints, middle
+from helpers.labelling_page import (
+    BETWEEN,
+    FIRST,
+    LAST,
+    MARK,
+    click,
+    click_joints,
+    drag,
+    draw,
+    draw_disc,
+    goto,
+    kept,
+    near,
+    on_screen,
+    opened,
+    shows,
+)
+
+pytestmark = IN_BROWSER
+
+
+def test_two_tabs_that_label_lose_nothing(context: Any, served: Served) -> None:
+    one = opened(context, served)
+    two = opened(context, served, None)
+    click(one, [100, 100])
+    expect(two.locator("#joint")).to_have_text("Next: Thumb root, at the wrist")  # without a reload
+    click(two, [120, 100])
+    two.keyboard.press("o")
+    draw(two, circle(FIRST, 6))
+    drag(one, [100, 100], [90, 80])
+    saved(one)
+    saved(two)
+    for page in (one, two):
+        expect(page.locator("#keyframes li")).to_contain_text("2 joints · 1 polygon")
+    state = kept(served)[FIRST]
+    assert near(state.joints["0"], [90, 80])
+    assert near(state.joints["1"], [120, 100])
+    assert near(state.polygons("object")[0], circle(FIRST, 6))
+
+
+def test_clicks_made_while_the_server_is_away_are_kept(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    served.stop()
+    click(page, [100, 100])
+    expect(page.locator("#saved")).to_contain_text("Not saved")
+    page.close()
+    served.start()
+    again = context.new_page()
+    again.goto(served.server.url)
+    saved(again)
+    until(again, "localStorage.length < 2")
+    assert near(kept(served)[FIRST].joints["0"], [100, 100])
+
+
+def test_an_address_opens_the_grasp_to_be_labelled(context: Any, served: Served) -> None:
+    page = context.new_page()
+    page.goto(f"{served.server.url}#annotator=ann&mesh=my+mug.obj&size-mm=95")
+    expect(page.locator("#annotator")).to_have_text("ann")
+    expect(page.locator("#mesh")).to_have_value("my mug.obj")
+    expect(page.locator("#size-mm")).to_have_value("95")
+    expect(page.locator("#back")).to_be_visible()
+
+
+def test_from_clicks_to_files(context: Any, served: Served, tmp_path: Path) -> None:
+    page = opened(context, served)
+    for frame in (FIRST, LAST):
+        goto(page, frame)
+        click_joints(page, frame)
+        draw_disc(page, frame)
+    saved(page)
+    assert near(list(kept(served)[LAST].joints.values()), joints(LAST), 0.8)
+    page.keyboard.press("b")
+    expect(page.locator("#fill-state")).to_have_text(f"All {LAST - FIRST + 1} frames filled in.", timeout=30_000)
+    goto(page, BETWEEN)
+    expect(page.locator("#layer path.draft.object")).to_have_count(1)
+    expect(page.locator("#layer path.draft.hand")).to_have_count(1)
+    box = page.locator("#layer path.draft.object").bounding_box()
+    seen = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
+    assert near(seen, on_screen(page, middle(BETWEEN).tolist()), 12.0)
+    page.keyboard.press("v")
+    expect(page.locator("#layer path.draft")).to_have_count(0)
+    page.keyboard.press("v")
+    page.reload()
+    shows(page, FIRST)  # what was filled in is still there
+    expect(page.locator("#fill-state")).to_have_text(f"All {LAST - FIRST + 1} frames filled in.")
+    goto(page, BETWEEN)
+    page.keyboard.press("o")
+    page.keyboard.press("k")
+    saved(page)
+    (taken,) = kept(served)[BETWEEN].polygons("object")
+    drag(page, taken[0].tolist(), (taken[0] + [9, 9]).tolist())
+    expect(page.locator("#fill-state")).to_contain_text("to be filled in")
+    saved(page)
+    page.click("#write")
+    expect(page.locator("#command")).to_contain_text("getagrip clip new", timeout=30_000)
+    (folder,) = [path for path in tmp_path.iterdir() if path.is_dir()]
+    assert (folder / "hand.npz").is_file()
+    assert len(list((folder / "masks").glob("*.png"))) == LAST - FIRST + 1
+    with page.expect_download() as download:
+        page.click("#labels-json")
+    labels = json.loads(Path(download.value.path()).read_text())
+    assert labels["frames"].keys() == {str(n) for n in (FIRST, BETWEEN, LAST)}
+
+
+def test_it_ends_in_a_reconstruction(
+    context: Any, served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clip is made as the commands make it; the fit, which takes its time, is left out here."""
+
+    def ran(words: Sequence[str], job: BackgroundJob) -> str:
+        if words[0] == "clip" and main([*words]):
+            raise GetagripError(f"{words[words.index('--mesh') + 1]} is refused")
+        if words[0] == "report":
+            folder = Path(words[1])
+            folder.mkdir(parents=True)
+            (folder / "result.json").touch()
+            write_image(folder / "report.png", np.zeros((40, 200, 3), np.uint8))
+            (folder / "report.html").write_text("<p>the report of a plate</p>")
+        return f"{words[0]}: done"
+
+    monkeypatch.setattr(jobs, "run_command", ran)
+    about = {"grasp": MARK, "task": "scene", "annotator": "ann", "tab": "a-tab-of-old"}
+    clicked = {str(n): point for n, point in enumerate(joints(FIRST))}
+    served.project.label(about | {"change": "all-joints", "frame": FIRST, "set": {"joints": clicked}})
+    page = opened(context, served)
+    expect(page.locator("#reconstruct")).to_be_disabled()
+    draw_disc(page, FIRST)
+    saved(page)
+    assert page.input_value("#mesh") == "disc"  # what the grasp is of: there is no such shape
+    page.click("#reconstruct")
+    expect(page.locator("#fill-state")).to_contain_text("disc is refused", timeout=30_000)
+    page.fill("#mesh", "plate")
+    page.fill("#size-mm", "180")
+    page.click("#reconstruct")
+    expect(page.locator("#outcome")).to_have_text("clip: done\nreconstruct: done", timeout=30_000)
+    until(page, "document.getElementById('report').naturalWidth == 200")
+    (clip,) = (tmp_path / "clips").iterdir()
+    assert np.ptp(read_clip(clip).mesh.vertices, axis=0).max() == pytest.approx(0.18)
+    with context.expect_page() as opens:
+        page.click("#report-page")
+    expect(opens.value.locator("body")).to_contain_text("the report of a plate")
+
+
+def test_the_next_step_is_shown_and_the_grasp_can_be_left(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    expect(page.locator("#label-next")).to_contain_text("click the joints")
+    before = page.locator("#screen").bounding_box()
+    page.keyboard.press("b")
+    expect(page.locator("#problem")).to_contain_text("nothing to fill in yet")
+    assert page.locator("#screen").bounding_box() == before  # nothing moves when something is refused
+    click(page, joints(FIRST)[0])
+    expect(page.locator("#problem")).to_be_hidden()
+    page.keyboard.press("o")
+    expect(page.locator("#label-next")).to_contain_text("6 joints at least")
+    page.keyboard.press("ArrowLeft")
+    expect(page.locator("#label-next")).to_contain_text("not part of the grasp")
+    click(page, [50, 50])
+    page.keyboard.press("l")
+    expect(page.locator("#definition")).to_be_visible()
+    expect(page.locator("#layer *")).to_have_count(0)
+    page.reload()
+    expect(page.locator("#definition")).to_be_visible()
+    expect(page.locator("#marks li")).to_have_count(1)
+    assert kept(served).keys() == {FIRST}
+    page.keyboard.press("l")
+    expect(page.locator("#keyframes li")).to_have_count(1)
+
+
+def test_what_was_just_moved_is_kept_when_another_clip_is_opened(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    click(page, [100, 100])
+    saved(page)
+    before = kept(served)[FIRST].joints["0"]
+    page.keyboard.press("Shift+d")
+    page.keyboard.press("n")
+    expect(page.locator("#where")).to_have_text("another")
+    expect(page.locator("#definition")).to_be_visible()
+    saved(page)
+    assert kept(served)[FIRST].joints["0"][0] > before[0]
+    expect(page.locator("#problem")).to_be_hidden()
+
+
+def test_what_was_changed_elsewhere_is_not_undone(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    click(page, [100, 100])
+    saved(page)
+    store, state = served.project.store.keyframes, kept(served)[FIRST]
+    store.apply(Change("elsewhere", "another-tab", {}), state, lambda old, _: replace(old, hidden=True))
+    page.keyboard.press("u")
+    expect(page.locator("#problem")).to_contain_text("another tab")
+    assert kept(served)[FIRST].joints

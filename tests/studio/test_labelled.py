@@ -1,0 +1,212 @@
+"""From labels to files: hands that follow a shaking image, masks, and the clip that is made of both."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import av
+import cv2
+import numpy as np
+import pytest
+from numpy import ndarray
+
+from getagrip.clip import read_clip, read_masks
+from getagrip.errors import UsageError
+from getagrip.fitting.hand.refine_hand import refine_hand
+from getagrip.geometry import se3
+from getagrip.geometry.camera import Lens, project
+from getagrip.geometry.mesh_files import write_mesh
+from getagrip.geometry.rasterize import render_coverage
+from getagrip.hands import generic
+from getagrip.hands.from_2d.clicks import hands_from_clicks
+from getagrip.io.files import is_portable_name
+from getagrip.studio.hands.stabilize_hands import stabilize_hands
+from getagrip.studio.store.export_clip import write_labelled_clip_files
+from getagrip.studio.store.labels import OBJECT_LABEL, OCCLUDER_LABEL, FrameLabels, Labels
+from getagrip.studio.store.marks import Grasp, Mark
+from getagrip.studio.store.tasks import Task
+from helpers.clips import box
+from helpers.command_line import Run
+from helpers.folders import contents
+
+SIZE = (320, 240)
+FOCAL = 320.0
+K = np.array([[FOCAL, 0.0, 160.0], [0.0, FOCAL, 120.0], [0.0, 0.0, 1.0]])
+LAST = 8
+
+
+class Scene(NamedTuple):
+    """A hand and a square above it, both in an image that shakes as a whole."""
+
+    image: ndarray
+    uv: ndarray
+    """The hand's joints."""
+    square: ndarray
+
+
+def scene(n: int) -> Scene:
+    rng = np.random.default_rng(0)
+    posed = generic.load("right").with_shape().with_pose(np.full(45, 0.1))
+    turn = se3.exp_so3(np.array([1.3, 0.0, 0.0])) @ se3.exp_so3(np.array([0.0, 1.2, 0.0]))
+    T = se3.rigid(turn, np.array([0.0, 0.04, 0.45]))
+    hand = render_coverage(se3.transform(T, posed.vertices), posed.faces, K, SIZE)
+    square = np.array([[120.0, 20.0], [190.0, 25.0], [185.0, 85.0], [115.0, 80.0]])
+    blots = sum(cv2.resize(rng.random((k, k, 3)), SIZE, interpolation=cv2.INTER_CUBIC) for k in (10, 40, 120))
+    image = 40.0 + 40.0 * blots
+    image[hand] = 0.5 * image[hand] + [90.0, 60.0, 50.0]
+    mask = np.zeros(SIZE[::-1], np.uint8)
+    cv2.fillPoly(mask, [square.astype(np.int32)], 1)
+    image[mask > 0] = 0.5 * image[mask > 0] + [0.0, 60.0, 110.0]
+    shake = np.array([9.0 * np.sin(1.9 * n), 7.0 * np.cos(1.3 * n) - 7.0])
+    whole = np.column_stack([np.eye(2), shake])
+    moved = cv2.warpAffine(np.clip(image, 0, 255).astype(np.uint8), whole, SIZE, borderMode=cv2.BORDER_REFLECT)
+    return Scene(np.asarray(moved, np.uint8), project(K, se3.transform(T, posed.joints)) + shake, square + shake)
+
+
+def labels_of(*keys: int) -> Labels:
+    frames = {n: FrameLabels(scene(n).uv, (scene(n).square,)) for n in keys}
+    return Labels("shaken.mp4", SIZE, "right", 25.0, 0, LAST, frames)
+
+
+def image(n: int) -> ndarray:
+    return scene(n).image
+
+
+@pytest.mark.slow
+def test_between_keys_hands_follow_the_footage() -> None:
+    clicked = hands_from_clicks(labels_of(0, LAST).clicks, K, "right", 0, LAST)
+    followed = stabilize_hands(clicked, 0, K, SIZE, image)
+    truth = np.array([scene(n).uv for n in range(LAST + 1)])
+    off = []
+    for hands in (clicked, followed):
+        assert hands.hand.joints is not None
+        uv = project(K, se3.transform(hands.hand.T_cam_hand, hands.hand.joints))
+        off.append(np.linalg.norm(uv - truth, axis=-1).mean(axis=1))
+    assert off[0].max() > 8.0
+    assert off[1].max() < 2.0
+    np.testing.assert_array_equal(followed.hand.T_cam_hand[[0, LAST]], clicked.hand.T_cam_hand[[0, LAST]])
+
+
+@pytest.mark.slow
+def test_beyond_the_keys_too() -> None:
+    clicked = hands_from_clicks({4: scene(4).uv}, K, "right", 0, LAST)
+    followed = stabilize_hands(clicked, 0, K, SIZE, image).hand
+    assert followed.joints is not None
+    uv = project(K, se3.transform(followed.T_cam_hand, followed.joints))
+    truth = np.array([scene(n).uv for n in range(LAST + 1)])
+    assert np.linalg.norm(uv - truth, axis=-1).mean(axis=1).max() < 3.0
+
+
+@pytest.mark.slow
+def test_a_blank_image_moves_nothing() -> None:
+    clicked = hands_from_clicks(labels_of(0, LAST).clicks, K, "right", 0, LAST)
+    blank = np.full((*SIZE[::-1], 3), 90, np.uint8)
+    followed = stabilize_hands(clicked, 0, K, SIZE, lambda _: blank)
+    np.testing.assert_allclose(followed.hand.T_cam_hand, clicked.hand.T_cam_hand, atol=5e-3)
+
+
+@pytest.mark.slow
+def test_labels_become_a_clip(tmp_path: Path, run: Run) -> None:
+    video = tmp_path / "shaken.mp4"
+    with av.open(str(video), "w") as container:
+        stream = container.add_stream("mpeg4", rate=25)
+        stream.width, stream.height, stream.pix_fmt, stream.bit_rate = *SIZE, "yuv420p", 4_000_000
+        for n in range(LAST + 1):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image(n), format="rgb24")))
+        container.mux(stream.encode(None))
+    done: list[int] = []
+    made = write_labelled_clip_files(labels_of(0, LAST), image, Lens(), tmp_path / "made", done=done.append)
+    assert done == [*range(1, LAST + 2)]
+    assert made.confidence[0] == made.confidence[LAST] == 1.0
+    assert sorted(made.confidence) == list(range(LAST + 1))
+    write_mesh(box(0.1, 0.08, 0.002), tmp_path / "box.obj")
+    words = made.command.split()[1:]
+    words[words.index("shaken.mp4")] = str(video)
+    words[words.index("MESH")], words[words.index("CLIP")] = str(tmp_path / "box.obj"), str(tmp_path / "shaken")
+    status, _, err = run(*words)
+    assert status == 0
+    assert "a guess: the focal length" in err
+    assert "a guess: the generic hand" in err
+    clip = read_clip(tmp_path / "shaken")
+    assert clip.frames == tuple(f"{n:06d}" for n in range(1, LAST + 2))
+    masks = read_masks(clip)
+    assert refine_hand(clip, masks)[0] is None  # nobody drew the hand: ignored is where it was fitted
+    for n in range(LAST + 1):
+        drawn = np.zeros(SIZE[::-1], np.uint8)
+        cv2.fillPoly(drawn, [np.round(scene(n).square).astype(np.int32)], 1)
+        both, either = (masks.object[n] & (drawn > 0)).sum(), (masks.object[n] | (drawn > 0)).sum()
+        assert both / either > 0.9
+        hand = render_coverage(
+            se3.transform(clip.hand.T_cam_hand[n], clip.hand.vertices[n]), clip.hand.faces, clip.K[n], SIZE
+        )
+        assert (masks.ignore[n] | masks.object[n])[hand].all()
+        assert not (masks.ignore[n] & masks.object[n]).any()
+
+
+@pytest.mark.slow
+def test_what_is_in_front_or_may_be_is_ignored(tmp_path: Path) -> None:
+    front = scene(0).square + np.array([20.0, 0.0])
+    given = labels_of(0)
+    frames = {0: FrameLabels(scene(0).uv, (scene(0).square,), (front,))}
+    write_labelled_clip_files(
+        Labels(given.video, SIZE, given.side, given.fps, 0, 0, frames), image, Lens(focal=FOCAL), tmp_path / "made"
+    )
+    mask = cv2.imread(str(tmp_path / "made" / "masks" / "000001.png"), cv2.IMREAD_UNCHANGED)
+    assert mask[50, 125] == OBJECT_LABEL
+    assert mask[50, 170] == OCCLUDER_LABEL
+    assert mask[5, 5] == 0
+    u, v = scene(0).uv[9].astype(int)
+    assert mask[v, u] == OCCLUDER_LABEL
+    with np.load(tmp_path / "made" / "hand.npz") as file:
+        assert "guess" not in str(file["provenance_camera"])
+        assert "guess" in str(file["provenance_hands_scale"])
+
+
+@pytest.mark.slow
+def test_only_what_was_made_of_labels_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made" / "letter.txt").write_text("dear")
+    with pytest.raises(UsageError, match=r"made: exists already without 'hand\.npz' in it"):
+        write_labelled_clip_files(labels_of(0), image, Lens(focal=FOCAL), tmp_path / "made", overwrite=True)
+    assert contents(tmp_path) == {"made/letter.txt": b"dear"}
+
+
+def test_too_little_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+    for frames, words in (({0: FrameLabels(scene(0).uv)}, "polygons"), ({0: FrameLabels(object=())}, "joints")):
+        with pytest.raises(UsageError, match=words):
+            write_labelled_clip_files(
+                Labels("a.mp4", SIZE, "right", 25.0, 0, 1, frames), image, Lens(), tmp_path / "made"
+            )
+    assert not list(tmp_path.iterdir())
+
+
+def test_grasps_of_long_names_that_are_alike_have_files_of_their_own() -> None:
+    """What tells them apart stands behind where a name is cut; or is no letter that a file may have."""
+    footage: Any = None
+    videos = ("v" * 150, "v" * 150 + "w", "a b", "a/b")
+    ends = (70, 80)
+    grasps = [
+        Grasp(
+            Task("key", video, None),
+            footage,
+            Mark("m", "key", "ann", 10, end, "right", start_number=10, end_number=end),
+        )
+        for video in videos
+        for end in ends
+    ]
+    names = {grasp.name for grasp in grasps}
+    assert len(names) == len(videos) * len(ends)
+    assert all(is_portable_name(name) and len(name) < 120 for name in names)
+
+
+@pytest.mark.parametrize("names", [("cover", "picture-01"), ("a-01", "b-01")])
+def test_images_without_a_number_of_their_own_are_refused(tmp_path: Path, names: tuple[str, str]) -> None:
+    """A clip would not find their hands, or take those of others."""
+
+    def name(n: int) -> str:
+        return names[n] if n < len(names) else f"picture-{n:02d}"
+
+    with pytest.raises(UsageError, match=r"needs a number of its own .* \(got (cover|a-01)\)"):
+        write_labelled_clip_files(labels_of(0, LAST), image, Lens(focal=FOCAL), tmp_path / "made", name=name)
+    assert not (tmp_path / "made").exists()
