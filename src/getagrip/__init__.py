@@ -17,10 +17,26 @@ from getagrip.io import processes
 if processes.is_program():  # before anything else takes time
     processes.exit_on_interrupt()
 
+import sys
+from types import ModuleType
+
 import lazy_loader
+
+from getagrip import moved as moved  # finds modules under their former names
 
 __version__ = "0.1.0"
 _public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+class _Package(ModuleType):
+    """The root package, in which a module never takes the place of a public name: ``reconstruct`` is the function."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name not in self.__all__ or not isinstance(value, ModuleType):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> object:

@@ -18,6 +18,8 @@ Basis = Literal["measured", "estimated", "assumed"]
 """From a sensor, the ground truth or the user; found by an algorithm; neither of these."""
 HandsKind = Literal["measured", "estimated"]
 """Kind of a clip's hands: from sensors or the ground truth; estimated from images, or assumed."""
+EXTRAPOLATED_HANDS_KEY = "hands_held"
+"""Key of a clip's provenance: frames in which the hand is not known, and stands still."""
 MIN_BASIS_VERSION = 4
 """The version of ``clip.json`` from which on sources have a basis; before, a guess said so in its text."""
 

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import asdict, replace
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -60,7 +61,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[Callable[[Clip], None]]:
         given = json.loads(to_json(asdict(options)))
         return replace(perfect(clip), clip=clip.name, options=given, method=options.method, seed=options.seed)
 
-    monkeypatch.setattr("getagrip.reconstruct.reconstruct", fit)
+    monkeypatch.setattr(import_module("getagrip.reconstruct"), "reconstruct", fit)
     return meanwhile
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ def test_a_result_that_another_run_made_meanwhile_is_kept(tmp_path: Path, monkey
         write_result(found, job.out, input_sha256(folder))  # the other run ends first
         return found
 
-    monkeypatch.setattr("getagrip.reconstruct.reconstruct", slow)
+    monkeypatch.setattr(import_module("getagrip.reconstruct"), "reconstruct", slow)
     outcome = reconstruct_one(job)
     assert outcome.state == "kept"
     assert outcome.findings == (DOUBT,)
@@ -48,7 +49,7 @@ def test_why_there_is_no_probability_is_said(
 ) -> None:
     scene = egg_and_mug()
     folder = write_clip(*scene, tmp_path / "clip")
-    monkeypatch.setattr("getagrip.reconstruct.reconstruct", lambda *_: perfect(scene[0]))
+    monkeypatch.setattr(import_module("getagrip.reconstruct"), "reconstruct", lambda *_: perfect(scene[0]))
     outcome = reconstruct_one(Job("egg-and-mug", folder, tmp_path / "out", options, overwrite=False))
     assert (outcome.state, f"{said}), " in outcome.message) == ("done", True)
     assert outcome.message.startswith("IOU ")
@@ -59,7 +60,7 @@ def test_how_a_result_of_an_assumed_mesh_looks_is_said(tmp_path: Path, monkeypat
     scene = egg_and_mug()
     folder = write_clip(*scene, tmp_path / "clip")
     found = replace(perfect(scene[0]), probability_right=Probability(0.12, "", (ASSUMED_MESH,)), ambiguous=True)
-    monkeypatch.setattr("getagrip.reconstruct.reconstruct", lambda *_: found)
+    monkeypatch.setattr(import_module("getagrip.reconstruct"), "reconstruct", lambda *_: found)
     outcome = reconstruct_one(Job("egg-and-mug", folder, tmp_path / "out", Options(), overwrite=False))
     assert " 12 % (extrapolated: assumed mesh) in the hand, probably looks right, ambiguous, " in outcome.message
 

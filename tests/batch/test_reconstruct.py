@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import asdict, replace
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -54,7 +55,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         given = json.loads(to_json(asdict(options)))
         return replace(perfect(clip), clip=clip.name, options=given, method=options.method, seed=options.seed)
 
-    monkeypatch.setattr("getagrip.reconstruct.reconstruct", fit)
+    monkeypatch.setattr(import_module("getagrip.reconstruct"), "reconstruct", fit)
     return names
 
 
@@ -97,7 +98,7 @@ def test_a_clip_that_changes_while_it_is_read_is_not_called_done(
             mesh.write_text(mesh.read_text() + "# edited\n")
         return perfect(clip, clip.name)
 
-    monkeypatch.setattr("getagrip.reconstruct.reconstruct", fit)
+    monkeypatch.setattr(import_module("getagrip.reconstruct"), "reconstruct", fit)
     status, printed, err = run("reconstruct", clips, "--out", tmp_path / "out")
     assert status == 1
     assert "2 done, 0 already done, 1 failed" in printed

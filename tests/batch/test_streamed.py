@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Iterator
 from dataclasses import asdict, replace
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from shutil import make_archive
@@ -56,7 +57,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         whole = replace(clip, truth=small_clip()[0].truth)
         return replace(perfect(whole), clip=clip.name, options=given, method=options.method, seed=options.seed)
 
-    monkeypatch.setattr("getagrip.reconstruct.reconstruct", fit)
+    monkeypatch.setattr(import_module("getagrip.reconstruct"), "reconstruct", fit)
     return names
 
 
@@ -107,7 +108,9 @@ def test_either_may_be_on_a_disk(
         assert run("reconstruct", f"{clips}/a", "--out", tmp_path / "out")[0] == 0
         assert read_result(tmp_path / "out" / "a")[1]["clip_folder"] == f"{clips}/a"
     else:
-        monkeypatch.setattr("getagrip.reconstruct.reconstruct", lambda clip, *_: perfect(clip, clip.name))
+        monkeypatch.setattr(
+            import_module("getagrip.reconstruct"), "reconstruct", lambda clip, *_: perfect(clip, clip.name)
+        )
         assert run("reconstruct", f"file://{tmp_path}/clips/a", "--out", f"{store}/out")[0] == 0
         assert (RemotePath(f"{store}/out/a") / "result.json").read(10_000) is not None
 

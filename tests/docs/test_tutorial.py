@@ -5,6 +5,7 @@ from __future__ import annotations
 import runpy
 import sys
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -58,7 +59,7 @@ def test_the_demo_and_a_video_of_ones_own(tmp_path: Path, run: Run, monkeypatch:
         tmp_path / "out" / "demo" / clip_name(demo.DEMO_CATEGORY, demo.DEMO_SEED, scene_options.DEMO_SCENE_OPTIONS)
     )[0]
     with monkeypatch.context() as patch:  # it can be run again; the same would be found and drawn
-        patch.setattr("getagrip.reconstruct.reconstruct", lambda *_, **__: again)
+        patch.setattr(import_module("getagrip.reconstruct"), "reconstruct", lambda *_, **__: again)
         patch.setattr("getagrip.report.pictures.result_picture.write_report", lambda *given: given[3])
         patch.setattr("getagrip.report.pages.write_page", lambda *given: given[3])
         assert run(*words[1:])[0] == 0

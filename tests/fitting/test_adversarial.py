@@ -95,7 +95,7 @@ def test_large_meshes_are_fitted_with_fewer_faces(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.slow
 def test_clustering_keeps_a_large_meshs_shape() -> None:
-    mesh = quartered(quartered(quartered(SYNTHETIC_CATEGORIES["can"].make())))
+    mesh = quartered(quartered(quartered(SYNTHETIC_CATEGORIES["can"]())))
     few = cluster_vertices(mesh, len(mesh.faces) // 6)
     assert len(few.faces) < len(mesh.faces) // 4
     assert few.is_closed

@@ -105,7 +105,7 @@ def test_a_bottle_that_has_spun_is_the_same_and_one_that_was_tilted_is_not() -> 
 
 
 def test_a_large_pan_that_has_turned_its_handle_elsewhere_is_another() -> None:
-    pan = SYNTHETIC_CATEGORIES["pan"].make()
+    pan = SYNTHETIC_CATEGORIES["pan"]()
     surface = ObjectSurface.of(pan)
     R = se3.exp_so3(np.radians([[0.0, 0.0, a] for a in (0.0, 30.0, 60.0, 90.0, 180.0)]))
     vessel = np.array([pan.vertices[:, 0].min() + pan.vertices[:, 1].max(), 0.0, 0.0]) - pan.centre
@@ -152,7 +152,7 @@ def wedge(taper: float) -> Mesh:
 
 def test_half_turns_are_those_that_nearly_leave_the_surface_as_it_is() -> None:
     assert len(box_surface().half_turns) == 0  # they leave it as it is
-    assert len(ObjectSurface.of(SYNTHETIC_CATEGORIES["mug"].make()).half_turns) == 0  # its handle is elsewhere then
+    assert len(ObjectSurface.of(SYNTHETIC_CATEGORIES["mug"]()).half_turns) == 0  # its handle is elsewhere then
     turns = ObjectSurface.of(wedge(0.1)).half_turns
     assert len(turns) == 2
     for turn in turns:

@@ -26,6 +26,7 @@ from getagrip.fitting.solver.category_prior import (
 )
 from getagrip.fitting.solver.initial_poses import initial_poses
 from getagrip.geometry import se3
+from getagrip.hands.grips import CATEGORY_PRIORS
 from getagrip.provenance import Source, assumed
 from getagrip.reconstruct import reconstruct
 from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
@@ -67,7 +68,7 @@ def test_the_handle_is_tried_on_every_side(side: str) -> None:
     R = category_rotations(replace(unmeasured()[0], side=side))
     np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.tile(np.eye(3), (len(R), 1, 1)), atol=1e-9)
     np.testing.assert_allclose(np.linalg.det(R), 1.0)
-    usual = SYNTHETIC_CATEGORIES["mug"].grips[0].R_hand_obj
+    usual = CATEGORY_PRIORS["mug"].grips[0].R_hand_obj
     usual = usual if side == "right" else SIDE_REFLECTIONS[0] @ usual @ SIDE_REFLECTIONS[1]
     for angle in np.linspace(0.0, 2.0 * np.pi, 25):
         turned = usual @ se3.exp_so3(np.array([0.0, 0.0, angle]))
@@ -188,7 +189,7 @@ def test_an_opening_that_points_away_from_the_camera_is_measured_and_said() -> N
 def test_only_what_has_a_handle_has_an_opposite_side() -> None:
     clip = unmeasured()[0]
     for kind, turns in (("mug", 1), ("pan", 1), ("bottle", 0), ("plate", 0)):
-        other = replace(clip, category=kind, mesh=SYNTHETIC_CATEGORIES[kind].make())
+        other = replace(clip, category=kind, mesh=SYNTHETIC_CATEGORIES[kind]())
         assert len(handle_half_turns(other, surface_of(other))) == turns
     assert len(handle_half_turns(replace(clip, scale="known"), surface_of(clip))) == 0
 

@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -159,13 +160,13 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
         "bench.segments._find_in_both_directions": lambda _: dict.fromkeys(TIME_DIRECTIONS, spans),
         "bench.timelines._score_noise_level": lambda *_: {"category": "box", "by": by},
         "timelines.detect.detect_segments.find_segments": found,
-        "reconstruct.reconstruct": fitted,
         "report.pages.viewer.ViewerServer.serve_forever": ended,
         "report.film._overlay_and_turned_frames": lambda _: iter(np.zeros((2, 576, 1080, 3), np.uint8)),
         "report.pictures.result_picture.report_figure": drawn,
     }
     for place, trifle in places.items():
         monkeypatch.setattr(f"getagrip.{place}", trifle)
+    monkeypatch.setattr(import_module("getagrip.reconstruct"), "reconstruct", fitted)
     for kind in FIGURES.values():
         monkeypatch.setattr(kind, "draw", drawn)
     for dataset in (*DATASETS.values(), Ho3dEvaluation):

@@ -64,4 +64,4 @@ def test_nor_does_a_task_of_slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_one_function_names_our_python() -> None:
     asked = {path.name for path in PACKAGE.rglob("*.py") if "sys.executable" in path.read_text("utf-8")}
-    assert asked == {"own_python.py", "compiling.py"}  # the latter looks whether it is a Python
+    assert asked == {"processes.py", "compiling.py"}  # the latter looks whether it is a Python

@@ -116,7 +116,7 @@ def test_it_is_said_what_a_result_was_made_with(install: Install) -> None:
 
 
 def test_one_that_raises_stops_nothing_else(install: Install, capsys: pytest.CaptureFixture[str]) -> None:
-    code = "from getagrip.checks import Check\nfrom getagrip.evaluation.metric import Metric\n"
+    code = "from getagrip.checks import Check\nfrom getagrip.metrics.evaluate.metric import Metric\n"
     code += "CHECK = Check('cross', lambda it: 1 / 0, '', '')\nMETRIC = Metric('cross', lambda it, _: 1 / 0)\n"
     install("cross", "1", code, checks="cross = cross:CHECK", metrics="cross = cross:METRIC")
     checks = PluginTable[Check]("checks", {}, "a Check", lambda _, it: isinstance(it, Check))

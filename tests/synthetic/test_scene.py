@@ -178,7 +178,7 @@ def test_a_mean_cad_is_aligned_with_the_object_it_stands_for() -> None:
 @settings(max_examples=20, deadline=None)
 def test_alignment_undoes_any_similarity(seed: int, size: float, w: list[float]) -> None:
     rng = np.random.default_rng(seed)
-    cad = SYNTHETIC_CATEGORIES["cup"].make()
+    cad = SYNTHETIC_CATEGORIES["cup"]()
     T = se3.rigid(se3.exp_so3(np.array(w)), rng.normal(size=3))
     held = Mesh(se3.transform(T, size * cad.vertices), cad.faces)
     found, factor = align_similarity(cad, held, resize=True)

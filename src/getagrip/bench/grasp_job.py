@@ -276,7 +276,7 @@ def _existing_result(
 
 def _software_of(variant: Variant) -> dict[str, str]:
     """Return the software that makes a variant's result, and the code of ``evaluation`` that measures it."""
-    also = () if variant.change == UNCHANGED else CHANGES_CODE
+    also: tuple[str, ...] = () if variant.change == UNCHANGED else CHANGES_CODE
     if variant.system is not None:
         also += EXTERNAL_SYSTEMS_CODE
     made = software_of_method(variant.method, *also) if variant.system is None else software_versions(*also)

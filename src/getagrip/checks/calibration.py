@@ -168,7 +168,7 @@ def candidate_set_thresholds(
     return out
 
 
-CALIBRATION_FILE = Path(__file__).with_suffix(".json")
+CALIBRATION_FILE = Path(__file__).with_name("calibrated.json")
 Calibrations = dict[tuple[str, Where], Calibration]
 """By method, and by where poses are right."""
 Thresholds = dict[tuple[InputKind, Where], KeepThresholds]

@@ -230,7 +230,6 @@ def describe_segments(segments: tuple[Segment, ...]) -> str:
     return f"{format_count(len(segments), 'segment')}: {', '.join(one.state for one in segments)}"
 
 
-"""Exit status where depth is written, and something seems to be wrong with it."""
 Scale = Literal["metric", "clip", "frame"]
 if TYPE_CHECKING:
     Format: TypeAlias = str

@@ -30,6 +30,7 @@ from getagrip.io import arrays, files
 from getagrip.io.options import Flag, OptionalFile, one_of
 from getagrip.io.terminal import print_note, print_result, warn
 from getagrip.provenance import (
+    EXTRAPOLATED_HANDS_KEY,
     Source,
     is_provenance_key,
     measured,
@@ -39,7 +40,6 @@ from getagrip.provenance import (
 )
 from getagrip.readers.trackers import (
     CHOSEN_HANDS_KEY,
-    EXTRAPOLATED_HANDS_KEY,
     Request,
     TrackedHands,
     Tracker,

@@ -15,7 +15,7 @@ import importlib
 import json
 import re
 import subprocess
-from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import date
@@ -47,13 +47,16 @@ def fingerprint(*also: str) -> str:
     total = hashlib.sha256()
     for path in sorted((*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.json"))):
         name = path.relative_to(PACKAGE).as_posix()
-        if name.split("/")[0].removesuffix(".py") not in UNFINGERPRINTED_PARTS or f"{name}/".startswith(
-            tuple(f"{part}/" for part in also)
-        ):
+        if not _is_within(name, UNFINGERPRINTED_PARTS) or _is_within(name, also):
             content = path.read_bytes()
             total.update(f"{name}\0{len(content)}\0".encode())
             total.update(content)
     return total.hexdigest()[:16]
+
+
+def _is_within(name: str, parts: Iterable[str]) -> bool:
+    """Return whether a file is one of some files, or lies in one of some folders."""
+    return f"{name}/".startswith(tuple(f"{part}/" for part in parts))
 
 
 def date_and_commit() -> str:

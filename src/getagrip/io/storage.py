@@ -19,7 +19,7 @@ from urllib.parse import unquote, urlsplit
 from zipfile import ZipFile, ZipInfo
 
 from getagrip.errors import GetagripError, InputError, UsageError
-from getagrip.io import arrays, files, plugins
+from getagrip.io import files, plugins
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
@@ -177,6 +177,8 @@ class RemotePath:
 
         Also raises ``InputError`` for damaged archives, links in them, and names that stand twice.
         """
+        from getagrip.io import arrays
+
         content = self.read(MAX_REMOTE_BYTES)
         if content is None:
             raise InputError(self.url, "", "no such archive", "a zip archive")

@@ -12,7 +12,7 @@ of train and test differ, and with them all that is drawn: a clip's random strea
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -20,7 +20,6 @@ import numpy as np
 from getagrip.errors import UsageError
 from getagrip.geometry.mesh import Mesh
 from getagrip.synthetic import objects
-from getagrip.synthetic.grasp import Grip
 from getagrip.synthetic.noise import NOISE_PRESETS
 from getagrip.synthetic.objects import (
     handle,
@@ -110,111 +109,38 @@ def microwave(size: tuple[float, float, float] = (0.17, 0.26, 0.15)) -> Mesh:
     return merge_closed_meshes([body, Mesh(grip.vertices + np.array([0.0, 0.3 * width, 0.0]), grip.faces)])
 
 
-@dataclass(frozen=True)
-class ObjectKind:
-    """A category: how to make the object, and the ways to take it."""
-
-    make: Callable[[], Mesh]
-    grips: tuple[Grip, ...]
-    rarer: tuple[Grip, ...] = ()
-    """Further ways, for clips whose grasps are to vary."""
-    spread: float = 0.25
-    """Standard deviation of the logarithm of its size, from one such object in a kitchen to another: a coarse guess."""
-    stretch: float | None = None
-    """Standard deviation of its stretches along x, y and z, if not that of any mesh (``fitting.stages.mesh_deformation``)."""
-    bend: float | None = None
-    """Standard deviation of its other deformations, if not that of any mesh: small where sides are flat."""
-    opens_up: bool = False
-    """True for a vessel or bottle, which is hardly ever held with its opening on the little finger's side."""
-
-
-_ROUND_GRIP = Grip("palm", (0, 0, 0), (1, 0, 0), (0, 0, 1))
-_ROUND_THUMB_DOWN_GRIP = Grip("palm", (0, 0, 0), (1, 0, 0), (0, 0, -1))
-_BAR_GRIP = Grip("palm", (0, 0, 0), (0, 0.5, -1), (-1, 0, 0))
-_BAR_FROM_BELOW_GRIP = Grip("palm", (0, 0, 0), (0, -0.6, 1), (-1, 0, 0))
-
-
-def _rim_grip(radius: float, height: float) -> Grip:
-    """By the rim of a vessel, the thumb inside."""
-    return Grip("pinch", (radius, 0, height), (-0.25, 0, -1), (1, 0, 0))
-
-
-SYNTHETIC_CATEGORIES: dict[str, ObjectKind] = {
-    "bottle": ObjectKind(
-        objects.bottle,
-        (Grip("palm", (0, 0, -0.02), (1, 0, 0), (0, 0, 1)),),
-        (Grip("palm", (0, 0, 0.06), (1, 0, 0), (0, 0, 1)), Grip("palm", (0, 0, 0.03), (1, 0, 0), (0, 0, -1))),
-        spread=0.5,
-        stretch=0.2,  # they are slim, squat or flat
-        opens_up=True,
-    ),
-    "bowl": ObjectKind(objects.bowl, (Grip("pinch", (0.072, 0, 0.055), (-0.25, 0, -1), (1, 0, 0)),), opens_up=True),
-    "can": ObjectKind(objects.can, (_ROUND_GRIP,), (_ROUND_THUMB_DOWN_GRIP,)),
-    "cup": ObjectKind(
-        objects.cup,
-        (Grip("pinch", (0.058, 0, 0.042), (-1, 0, 0), (0, -1, 0)),),
-        (Grip("pinch", (0, -0.042, 0.055), (0, 0.25, -1), (0, -1, 0)),),  # by the rim
-        spread=0.15,
-        opens_up=True,
-    ),
-    "glass": ObjectKind(
-        objects.glass, (_ROUND_GRIP,), (_ROUND_THUMB_DOWN_GRIP, _rim_grip(0.036, 0.055)), opens_up=True
-    ),
-    "mug": ObjectKind(
-        objects.mug,
-        (
-            Grip("palm", (0.077, 0, 0.05), (-1, 0, 0), (0, 0, 1)),  # by the handle
-            Grip("palm", (0, 0, 0.05), (0.3, 1, 0), (0, 0, 1)),  # round the body, the handle beyond the fingers
-        ),
-        (Grip("pinch", (0, -0.039, 0.085), (0, 0.25, -1), (0, -1, 0)),),  # by the rim
-        spread=0.15,
-        opens_up=True,
-    ),
-    "pan": ObjectKind(objects.pan, (_BAR_GRIP,), (_BAR_FROM_BELOW_GRIP,), opens_up=True),
-    "plate": ObjectKind(objects.plate, (Grip("pinch", (0.09, 0, 0.016), (-1, 0, 0), (0, 0, -1)),), spread=0.2),
-    "saucepan": ObjectKind(objects.saucepan, (_BAR_GRIP,), (_BAR_FROM_BELOW_GRIP,), opens_up=True),
-    "box": ObjectKind(
-        objects.box,
-        (Grip("palm", (0, -0.06, 0), (0, 1, 0), (0, 0, 1)),),
-        (Grip("palm", (0, 0, 0.085), (0, 0, -1), (0, 1, 0)),),  # from above
-        spread=0.5,
-        bend=0.005,
-    ),
-    "capsule_machine": ObjectKind(capsule_machine, (Grip("palm", (-0.03, 0, 0), (1, 0, 0), (0, 0, 1)),)),
-    "espresso_machine": ObjectKind(
-        espresso_machine,
-        (
-            Grip("palm", (0.145, 0, 0.013), (0, 0.5, -1), (-1, 0, 0)),  # by the filter's handle
-            Grip("palm", (-0.055, 0, -0.01), (1, 0, 0), (0, 0, 1)),  # by the column
-        ),
-    ),
-    "kettle": ObjectKind(objects.kettle, (Grip("palm", (0.127, 0, 0.085), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
-    "ketchup": ObjectKind(objects.ketchup, (Grip("palm", (0, 0, 0.02), (1, 0, 0), (0, 0, 1)),)),
-    "laptop": ObjectKind(
-        objects.laptop, (Grip("pinch", (0.1, 0, 0), (-1, 0, 0), (0, 0, -1)),), spread=0.15, bend=0.005
-    ),
-    "microwave": ObjectKind(microwave, (Grip("palm", (0.151, 0.078, 0), (-1, -0.35, 0), (0, 0, 1)),)),
-    "mixer": ObjectKind(mixer, (Grip("palm", (0, 0, 0.084), (0, 0.5, -1), (1, 0, 0)),)),
-    "notebook": ObjectKind(notebook, (Grip("pinch", (0.055, 0, 0), (-1, 0, 0), (0, 0, -1)),)),
-    "phone": ObjectKind(objects.phone, (Grip("palm", (0, -0.01, 0), (0, 0, 1), (0, 1, 0)),), spread=0.12, bend=0.005),
-    "scissors": ObjectKind(objects.scissors, (Grip("pinch", (-0.095, 0, 0), (1, 0, 0), (0, 0, -1)),)),
-    "spoon": ObjectKind(objects.spoon, (Grip("pinch", (-0.06, 0, 0.009), (1, 0, 0), (0, 0, -1)),)),
-    "waffle_iron": ObjectKind(waffle_iron, (_BAR_GRIP,), (_BAR_FROM_BELOW_GRIP,)),
+SYNTHETIC_CATEGORIES: dict[str, Callable[[], Mesh]] = {
+    "bottle": objects.bottle,
+    "bowl": objects.bowl,
+    "can": objects.can,
+    "cup": objects.cup,
+    "glass": objects.glass,
+    "mug": objects.mug,
+    "pan": objects.pan,
+    "plate": objects.plate,
+    "saucepan": objects.saucepan,
+    "box": objects.box,
+    "capsule_machine": capsule_machine,
+    "espresso_machine": espresso_machine,
+    "kettle": objects.kettle,
+    "ketchup": objects.ketchup,
+    "laptop": objects.laptop,
+    "microwave": microwave,
+    "mixer": mixer,
+    "notebook": notebook,
+    "phone": objects.phone,
+    "scissors": objects.scissors,
+    "spoon": objects.spoon,
+    "waffle_iron": waffle_iron,
 }
-"""The nine categories of EPIC-Grasps, then those of ARCTIC and others."""
-
-OBJECT_KINDS = SYNTHETIC_CATEGORIES | {
-    "book": ObjectKind(objects.book, (Grip("pinch", (0.06, 0, 0), (-1, 0, 0), (0, 0, -1)),), spread=0.4, bend=0.005),
-    "jar": ObjectKind(objects.jar, (_ROUND_GRIP,), spread=0.4, stretch=0.2),
-    "pitcher": ObjectKind(objects.pitcher, (Grip("palm", (0.102, 0, 0.1), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
-}
-"""The categories, and kinds of which no synthetic clips are made."""
+"""Makers of the categories' meshes: the nine of EPIC-Grasps, then those of ARCTIC and others."""
 
 SHAPE_MAKERS: dict[str, Callable[[], Mesh]] = {
-    **{name: kind.make for name, kind in OBJECT_KINDS.items()},
+    **SYNTHETIC_CATEGORIES,
+    **{make.__name__: make for make in (objects.book, objects.jar, objects.pitcher)},
     **{make.__name__: make for make in (objects.ball, objects.banana, objects.tape, objects.umbrella)},
 }
-"""All shapes that a clip can have by name: those of ``OBJECT_KINDS``, and others that have no usual grasp."""
+"""All shapes that a clip can have by name: the categories, three more with a usual grasp (``hands.grips``), and others without."""
 
 Split = Literal["train", "validation"]
 

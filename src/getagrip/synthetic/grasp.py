@@ -14,13 +14,14 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Real
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.clip import FINGERS
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.hands.generic import rest_fingers
+from getagrip.hands.grips import HOLD_FRAMES, Grip, frame_from_axes
 from getagrip.hands.model import KNUCKLES, PosedHand, ShapedHand, joint_transforms, skin
 
 
@@ -78,29 +79,6 @@ THUMB_ABDUCTION_ANGLES_DEG = (-10.0, 10.0, -20.0, 20.0, -30.0, 30.0)
 """Range of the thumb's metacarpal to the side [deg]."""
 
 
-@dataclass(frozen=True)
-class Grip:
-    """A grip: place and directions in the object's frame; directions need not be of unit length."""
-
-    hold: Literal["palm", "pinch"]
-    at: tuple[float, float, float]
-    """The point that comes to the palm, or between the pads [m]."""
-    into: tuple[float, float, float]
-    """The direction away from the hand."""
-    aside: tuple[float, float, float]
-    """Palm: the direction that comes to lie on the thumb's side. Pinch: from the thumb to the fingers."""
-
-    @property
-    def R_hand_obj(self) -> Float[ndarray, "3 3"]:
-        """The object's rotation in the frame of a right hand."""
-        hold = _HOLDS[self.hold]
-        T_hand_grip = _frame_from_axes(np.array(hold.into), np.array(hold.aside), np.array(hold.at))
-        return (
-            T_hand_grip[:3, :3]
-            @ _frame_from_axes(np.array(self.into), np.array(self.aside), np.array(self.at))[:3, :3].T
-        )
-
-
 def perturb_grip(grip: Grip, turn_deg: float, shift_mm: float, rng: np.random.Generator) -> Grip:
     """Turn a grip about a random axis and shift it, by these root mean squares."""
     R = se3.exp_so3(np.radians(turn_deg) / np.sqrt(3.0) * rng.normal(size=3))
@@ -113,12 +91,9 @@ def _triple(v: Float[ndarray, "3"]) -> tuple[float, float, float]:
 
 
 @dataclass(frozen=True)
-class _Hold:
-    """A place of the right hand that objects come to, and how its fingers move there; angles in degrees."""
+class _Fingers:
+    """How the fingers move at a place of the right hand that objects come to; angles in degrees."""
 
-    at: tuple[float, float, float]
-    into: tuple[float, float, float]
-    aside: tuple[float, float, float]
     opened: tuple[tuple[float, float, float], ...]
     closed: tuple[tuple[float, float, float], ...]
     thumb_aim: tuple[float, float, float] | None
@@ -128,36 +103,20 @@ class _Hold:
 
 
 _FIST_ANGLES_DEG = ((80.0, 95.0, 60.0),) * 4
-_HOLDS = {
-    "palm": _Hold(
-        at=(0.018, -0.02, 0.0),
-        into=(0.0, -1.0, 0.0),
-        aside=(-0.2, 0.0, 0.98),
+_FINGERS = {
+    "palm": _Fingers(
         opened=((-35.0, -10.0, 0.0), *((-12.0, 4.0, 2.0),) * 4),
         closed=((50.0, 55.0, 65.0), *_FIST_ANGLES_DEG),
         thumb_aim=(-0.38, -0.80, 0.46),
         thumb_pad=(-0.85, 0.35, -0.1),
     ),
-    "pinch": _Hold(
-        at=(0.004, -0.058, 0.022),
-        into=(-0.10, -1.0, 0.0),
-        aside=(-1.0, 0.10, -0.15),
+    "pinch": _Fingers(
         opened=((-10.0, -8.0, -5.0), *((32.0, 22.0, 8.0),) * 4),
         closed=((50.0, 25.0, 30.0), *((70.0, 75.0, 40.0),) * 4),
         thumb_aim=(-0.50, -0.72, 0.45),
         thumb_pad=(-0.85, 0.35, -0.25),
     ),
 }
-
-
-def _frame_from_axes(
-    into: Real[ndarray, "3"], aside: Real[ndarray, "3"], at: Real[ndarray, "3"]
-) -> Float[ndarray, "4 4"]:
-    """Frame with x along ``into`` and y as near to ``aside`` as can be."""
-    x = np.asarray(into, dtype=float) / np.linalg.norm(into)
-    z = np.cross(x, aside)
-    z /= np.linalg.norm(z)
-    return se3.rigid(np.stack([x, np.cross(z, x), z], axis=-1), np.asarray(at, dtype=float))
 
 
 class _Obstacles:
@@ -198,7 +157,7 @@ class Grasper:
 
     def _pose(self, angles: Float[ndarray, "*batch 5 3"]) -> Float[ndarray, "*batch 15 3"]:
         """Rotation vectors of the joints [rad] in MANO's order."""
-        hold = _HOLDS[self.hold]
+        hold = _FINGERS[self.hold]
         rest = rest_fingers()
         pose = np.zeros((*angles.shape[:-2], 15, 3))
         for f, name in enumerate(FINGERS):
@@ -206,7 +165,7 @@ class Grasper:
             pose[..., KNUCKLES[f] - 1 : KNUCKLES[f] + 2, :] = angles[..., f, :, None] * hinges
         if hold.thumb_aim is not None:
             along, _, back = rest["thumb"].axes[0]
-            opposed = _frame_from_axes(np.array(hold.thumb_aim), np.array(hold.thumb_pad), np.zeros(3))[:3, :3]
+            opposed = frame_from_axes(np.array(hold.thumb_aim), np.array(hold.thumb_pad), np.zeros(3))[:3, :3]
             aside, roll = np.radians(self.steer)
             opposed = opposed @ se3.exp_so3(np.array([0.0, aside, 0.0])) @ se3.exp_so3(np.array([roll, 0.0, 0.0]))
             R = opposed @ np.stack([along, -back, np.cross(along, -back)])
@@ -216,17 +175,17 @@ class Grasper:
 
     def opened(self) -> PosedHand:
         """Return the hand before it closes."""
-        return self.posed(np.radians(_HOLDS[self.hold].opened))
+        return self.posed(np.radians(_FINGERS[self.hold].opened))
 
     def approach(self, grip: Grip) -> Float[ndarray, "4 4"]:
         """Return ``T_hand_obj`` of the object at the open hand.
 
         In the palm it touches; in the pinch nothing need touch.
         """
-        hold = _HOLDS[self.hold]
-        T_hand_grip = _frame_from_axes(np.array(hold.into), np.array(hold.aside), np.array(hold.at))
+        hold = HOLD_FRAMES[self.hold]
+        T_hand_grip = frame_from_axes(np.array(hold.into), np.array(hold.aside), np.array(hold.at))
         T_hand_obj = T_hand_grip @ se3.inverse(
-            _frame_from_axes(np.array(grip.into), np.array(grip.aside), np.array(grip.at))
+            frame_from_axes(np.array(grip.into), np.array(grip.aside), np.array(grip.at))
         )
         if self.hold == "pinch":
             return T_hand_obj
@@ -241,7 +200,7 @@ class Grasper:
 
     def close(self, T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 5 3"]:
         """Close the hand on the object at each of its poses; return its joint angles [rad]."""
-        angles = np.broadcast_to(np.radians(_HOLDS[self.hold].opened), (len(T_hand_obj), 5, 3))
+        angles = np.broadcast_to(np.radians(_FINGERS[self.hold].opened), (len(T_hand_obj), 5, 3))
         angles = self._sweep(angles, T_hand_obj, range(1, 5))
         return self._close_thumb(angles, T_hand_obj, self._other_fingers(angles))
 
@@ -254,7 +213,7 @@ class Grasper:
     ) -> Float[ndarray, "A 5 3"]:
         """Close the thumb, from its open position, on the object and the other fingers."""
         angles = angles.copy()
-        angles[:, 0] = np.radians(_HOLDS[self.hold].opened[0])
+        angles[:, 0] = np.radians(_FINGERS[self.hold].opened[0])
         return self._sweep(angles, T_hand_obj, range(1), others)
 
     def _sweep(
@@ -266,7 +225,7 @@ class Grasper:
         steps: int = 14,
     ) -> Float[ndarray, "A 5 3"]:
         """Bend fingers, joint by joint, until they touch the object or, given other fingers as obstacles, those."""
-        angles, closed = angles.copy(), np.radians(_HOLDS[self.hold].closed)
+        angles, closed = angles.copy(), np.radians(_FINGERS[self.hold].closed)
         t = np.linspace(0.0, 1.0, steps)[:, None, None, None]
         T_obj_hand = se3.inverse(T_hand_obj)
         for stage in range(3):

@@ -24,11 +24,12 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.rasterize import Surface, render_rgb, true_masks
 from getagrip.geometry.warp import align_similarity
 from getagrip.hands import generic
+from getagrip.hands.grips import CATEGORY_PRIORS, Grip
 from getagrip.hands.model import hand_track, mirrored
 from getagrip.result import Axis
 from getagrip.synthetic import in_hand_motion
 from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
-from getagrip.synthetic.grasp import Grasper, Grip, SignedDistance, looseness, perturb_grip
+from getagrip.synthetic.grasp import Grasper, SignedDistance, looseness, perturb_grip
 from getagrip.synthetic.in_hand_motion import draw_egocentric_poses, draw_other_hand
 from getagrip.synthetic.noise import perturbed
 from getagrip.synthetic.objects import draw_deformation
@@ -100,13 +101,12 @@ def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
         raise UsageError(f"seed must be 0 or more (got {seed})")
     if options.frames < 2:
         raise UsageError(f"frames must be at least 2 (got {options.frames})")
-    kind = SYNTHETIC_CATEGORIES[category]
     rng, moves = np.random.default_rng([seed, *category.encode()]).spawn(2)
     stretch = 1.0 + options.vary * rng.uniform(-1.0, 1.0, 3)
-    mean = kind.make()
+    mean = SYNTHETIC_CATEGORIES[category]()
     shaped = _object_shape_map(mean, stretch, category, seed, options)
     grasped = Mesh(shaped(mean.vertices), mean.faces)
-    grip = kind.grips[rng.integers(len(kind.grips))]
+    grip = CATEGORY_PRIORS[category].grips[rng.integers(len(CATEGORY_PRIORS[category].grips))]
     grip = replace(grip, at=tuple(shaped(np.array([grip.at]))[0] + rng.normal(0.0, 0.002, 3)))
     model = generic.load("right")
     hand = model.with_shape(rng.normal(0.0, 0.04, len(model.shape_names)))
@@ -177,7 +177,7 @@ def _object_shape_map(
 
 def _draw_grip(category: str, seed: int, shaped: Shape, options: SceneOptions, grasper: Grasper) -> Grip:
     """Any grip of the category, at random off the usual: of a few draws the one that holds the object best."""
-    kind = SYNTHETIC_CATEGORIES[category]
+    kind = CATEGORY_PRIORS[category]
     rng = _independent_rng(category, seed, 2)
     grips = (*kind.grips, *kind.rarer)
     usual = grips[rng.integers(len(grips))]

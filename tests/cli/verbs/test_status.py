@@ -8,6 +8,7 @@ import os
 import shutil
 import signal
 from dataclasses import asdict, replace
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -49,7 +50,7 @@ def interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
         given = json.loads(to_json(asdict(options)))
         return replace(perfect(clip), clip=clip.name, options=given, method=options.method, seed=options.seed)
 
-    monkeypatch.setattr("getagrip.reconstruct.reconstruct", fit)
+    monkeypatch.setattr(import_module("getagrip.reconstruct"), "reconstruct", fit)
 
 
 def rows(out: Path) -> dict[str, list[str]]:

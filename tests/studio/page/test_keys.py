@@ -6,7 +6,7 @@ import re
 
 from helpers.paths import ROOT
 
-PAGE = ROOT / "src" / "getagrip" / "annotate" / "page"
+PAGE = ROOT / "src" / "getagrip" / "studio" / "page"
 ALIKE = {"Home", "End", "Escape", "Delete", "Backspace", "u"}
 """The first and last frame; choose nothing; delete what is chosen; undo: the same in both."""
 

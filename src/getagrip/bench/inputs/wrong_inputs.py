@@ -61,7 +61,7 @@ INPUT_MISTAKES: dict[str, Mistake] = {
 
 def _with_other_mesh(clip: Clip) -> Clip:
     """Replace the mesh by scissors; scissors by a mug."""
-    return replace(clip, mesh=SYNTHETIC_CATEGORIES["mug" if clip.category == "scissors" else "scissors"].make())
+    return replace(clip, mesh=SYNTHETIC_CATEGORIES["mug" if clip.category == "scissors" else "scissors"]())
 
 
 def _delay_masks(masks: Masks, frames: int) -> Masks:

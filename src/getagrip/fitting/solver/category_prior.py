@@ -20,8 +20,8 @@ from getagrip.fitting.energy import Energy, InHand, PosesInCamera, Quadratic, Te
 from getagrip.fitting.hand.hand_size import HAND_SIZE_SIGMA
 from getagrip.fitting.problem import HALF_TURN_DISTANCE_RANGE, ObjectSurface
 from getagrip.geometry import se3
+from getagrip.hands.grips import CATEGORY_PRIORS, CategoryPrior
 from getagrip.provenance import is_assumed
-from getagrip.synthetic.categories import OBJECT_KINDS, ObjectKind
 
 N_UPRIGHT_TURNS = 8
 """Turns of each grasp about the upright axis."""
@@ -33,10 +33,10 @@ SIDE_REFLECTIONS = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
 """Reflections: of the left hand's frame to the right's, and of an object whose handle points along x."""
 
 
-def unmeasured_kind(clip: Clip) -> ObjectKind | None:
+def unmeasured_kind(clip: Clip) -> CategoryPrior | None:
     """Return the kind of a clip's object, if its kind is all that is known of its shape and size."""
     unmeasured = clip.scale == "free" and is_assumed(clip.provenance.get("mesh"))
-    return OBJECT_KINDS.get(clip.category) if unmeasured else None
+    return CATEGORY_PRIORS.get(clip.category) if unmeasured else None
 
 
 def category_rotations(clip: Clip) -> Float[ndarray, "k 3 3"]:

@@ -34,7 +34,6 @@ from getagrip.readers.trackers.lerobot_hands import LeRobot
 from getagrip.readers.trackers.mano_parameters import ManoParameters
 from getagrip.readers.trackers.read_hands import (
     CHOSEN_HANDS_KEY,
-    EXTRAPOLATED_HANDS_KEY,
     TrackedHands,
     read_tracked_hands,
 )
@@ -44,7 +43,6 @@ from getagrip.readers.trackers.v2d import V2D
 
 __all__ = [
     "CHOSEN_HANDS_KEY",
-    "EXTRAPOLATED_HANDS_KEY",
     "TRACKERS",
     "Estimates",
     "Request",

@@ -37,7 +37,7 @@ from getagrip.hands.model import (
 )
 from getagrip.io import arrays
 from getagrip.io.images import read_png
-from getagrip.provenance import Provenance, Source, assumed, estimated, join_sources
+from getagrip.provenance import EXTRAPOLATED_HANDS_KEY, Provenance, Source, assumed, estimated, join_sources
 from getagrip.readers.trackers.estimates import ONE_CAMERA_NOTE, Estimate, Estimates, Request
 from getagrip.readers.trackers.records import list_record_files
 from getagrip.readers.trackers.tracker import Tracker
@@ -262,8 +262,6 @@ def _align_to_vertices(
     return se3.rigid(None, shift) @ T_cam_hand
 
 
-EXTRAPOLATED_HANDS_KEY = "hands_held"
-"""Key of a clip's provenance: frames in which the hand is not known, and stands still."""
 CHOSEN_HANDS_KEY = "hands_chosen"
 """Key of a clip's provenance: which hand was taken where there were several."""
 MIN_HAND_MASK_MARGIN = 0.1

@@ -18,7 +18,7 @@ from getagrip.errors import InputError
 from getagrip.fitting.hand.refine_hand import repair_hand
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
-from getagrip.readers.trackers import EXTRAPOLATED_HANDS_KEY
+from getagrip.provenance import EXTRAPOLATED_HANDS_KEY
 from getagrip.stable_grasps.definition import Definition
 from getagrip.stable_grasps.find import segment
 from getagrip.timelines.detect.grasp_evidence import (

@@ -145,7 +145,7 @@ def test_meshes_and_cameras_are_brought_along(run: Run, epic_folder: Path, refus
     from getagrip.geometry.mesh_files import write_mesh
 
     (epic_folder / "cad").mkdir()
-    write_mesh(SYNTHETIC_CATEGORIES["can"].make(), epic_folder / "cad" / "bottle.obj")
+    write_mesh(SYNTHETIC_CATEGORIES["can"](), epic_folder / "cad" / "bottle.obj")
     (epic_folder / "cameras").mkdir()
     camera = {"id": 1, "model": "OPENCV", "width": 456, "height": 256, "params": [240, 250, 228, 128, 0.1, 0, 0, 0]}
     (epic_folder / "cameras" / f"{V}.json").write_text(json.dumps({"images": {}, "camera": camera, "points": []}))
@@ -157,7 +157,7 @@ def test_meshes_and_cameras_are_brought_along(run: Run, epic_folder: Path, refus
         content["camera"]["K"], [[240 * 854 / 456, 0, 427], [0, 250 * 480 / 256, 240], [0, 0, 1]]
     )
     mesh, _ = epic_clips.category_mesh("bottle", epic_folder / "cad")
-    assert len(mesh.vertices) == len(SYNTHETIC_CATEGORIES["can"].make().vertices)
+    assert len(mesh.vertices) == len(SYNTHETIC_CATEGORIES["can"]().vertices)
     refused(lambda: epic_clips.category_mesh("pan", epic_folder / "cad"), "no pan.obj")
     (epic_folder / "cameras" / f"{V}.json").write_text('{"camera": {"model": "FISHEYE"}}')
     refused(lambda: epic_clips.read_epic_camera(epic_folder / "cameras" / f"{V}.json"), "camera")

@@ -318,7 +318,7 @@ def category_mesh(category: str, folder: Path | None) -> tuple[Mesh, str]:
     Metres, z up. Raises ``InputError`` where the folder has none.
     """
     if folder is None:
-        return SYNTHETIC_CATEGORIES[category].make(), "this package's procedural mesh of the category"
+        return SYNTHETIC_CATEGORIES[category](), "this package's procedural mesh of the category"
     for suffix in MESH_SUFFIXES:
         if (path := folder / f"{category}{suffix}").is_file():
             return read_mesh(path), f"{path.name} of the folder given"
