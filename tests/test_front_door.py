@@ -11,6 +11,7 @@ import sys
 import pytest
 
 import getagrip
+from getagrip.moved import NEW_NAMES
 
 FUNCTIONS = {name for name in getagrip.__all__ if name == name.lower()}
 HEAVY = "{'numpy', 'numba', 'scipy', 'trimesh', 'cv2', 'matplotlib', 'igl'} & set(sys.modules)"
@@ -47,3 +48,14 @@ def test_no_module_takes_the_place_of_a_function() -> None:
         if module.name != "getagrip.__main__":
             importlib.import_module(module.name)
     assert [name for name in getagrip.__all__ if not callable(getattr(getagrip, name))] == []
+
+
+def test_modules_are_found_under_their_former_names_for_one_release() -> None:
+    for former, new in NEW_NAMES.items():
+        name = next(one for one in vars(importlib.import_module(f"getagrip.{new}")) if not one.startswith("_"))
+        with pytest.warns(DeprecationWarning, match=f"getagrip.{former} is now getagrip.{new}"):
+            exec(f"from getagrip.{former} import {name}", {})
+    with pytest.raises(ModuleNotFoundError):
+        importlib.import_module("getagrip.evaluation.nonsense")
+    with pytest.raises(ImportError):
+        exec("from getagrip.grasps import stable_grasps", {})

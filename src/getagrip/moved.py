@@ -33,7 +33,7 @@ NEW_NAMES = {
     "segmentation.found": "timelines.detect.detect_segments",
     "timelines.reconstruct": "reconstruct",
 }
-"""Names within the package, old and new. Not all that moved: what no page told anybody to import is left out."""
+"""Names within the package, old and new. Not all that moved: names that no page imports are left out."""
 
 
 class _FormerModules:
@@ -44,7 +44,7 @@ class _FormerModules:
         former = name.removeprefix("getagrip.")
         if name == former or not any(f"{one}.".startswith(f"{former}.") for one in NEW_NAMES):
             return None
-        return ModuleSpec(name, self, is_package=True)
+        return ModuleSpec(name, self, is_package=True)  # type: ignore[arg-type]
 
     def create_module(self, spec: ModuleSpec) -> None:
         """Leave this to Python."""
@@ -63,4 +63,4 @@ class _FormerModules:
         module.__dict__["__getattr__"] = look_up
 
 
-sys.meta_path.append(_FormerModules())  # type: ignore[arg-type]
+sys.meta_path.append(_FormerModules())

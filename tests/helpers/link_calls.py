@@ -151,7 +151,7 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
     places = {
         "studio.server.StudioServer.serve_forever": ended,
         "compiling.compile_once": lambda *_: None,
-        "cli.main._parse_command": lambda words: parsed(tuple(words)),
+        "cli._parse_command": lambda words: parsed(tuple(words)),
         "synthetic.scene_options.DEMO_SCENE_OPTIONS": SHORT,
         "cli.doctor._smoke_test": lambda: None,
         "studio.hands.load": lambda _: SceneNets(),
