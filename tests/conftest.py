@@ -49,9 +49,9 @@ settings.load_profile("here")
 
 from getagrip.cli import main  # noqa: E402
 from getagrip.clip import write_clip  # noqa: E402
-from helpers.browser import Chromium  # noqa: E402
+from helpers.annotation import Chromium  # noqa: E402
 from helpers.clips import small_clip  # noqa: E402
-from helpers.command_line import Run  # noqa: E402
+from helpers.environment import Run  # noqa: E402
 from helpers.folders import FullDisk  # noqa: E402
 from helpers.scenes import SHORT, scene  # noqa: E402
 

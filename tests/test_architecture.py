@@ -5,7 +5,7 @@ from __future__ import annotations
 import runpy
 import tokenize
 
-from helpers.paths import ROOT
+from helpers.environment import ROOT
 
 
 def test_the_table_of_parts_is_up_to_date() -> None:

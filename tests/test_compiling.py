@@ -16,7 +16,7 @@ import pytest
 
 from getagrip import compiling
 from getagrip.io import files, terminal
-from helpers.paths import ROOT
+from helpers.environment import ROOT
 
 CODE = """
 from getagrip import compiling

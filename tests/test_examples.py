@@ -21,8 +21,8 @@ from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.result import Reconstruction
 from getagrip.synthetic.scene_options import SceneOptions
+from helpers.environment import DATA, ROOT, needs
 from helpers.pages import python
-from helpers.paths import DATA, ROOT, needs
 
 EXAMPLES = {path.name[:2]: path for path in sorted((ROOT / "examples").glob("*.py"))}
 

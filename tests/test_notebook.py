@@ -20,8 +20,8 @@ from getagrip.errors import UsageError
 from getagrip.io.array_data import MAX_BRIEF_LINES
 from getagrip.io.terminal import progress_callback
 from helpers.clips import small_clip
-from helpers.paths import ROOT
-from helpers.true_result import true_result
+from helpers.environment import ROOT
+from helpers.results import true_result
 
 NOTEBOOK = ROOT / "examples" / "getagrip.ipynb"
 SHORT = """

@@ -17,8 +17,7 @@ import pytest
 
 from getagrip.clip import read_clip
 from getagrip.geometry import se3
-from helpers.packages import write_package
-from helpers.paths import ROOT, import_path
+from helpers.environment import ROOT, import_path, write_package
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 

@@ -13,7 +13,7 @@ import yaml
 from markdown_it import MarkdownIt
 
 import getagrip
-from helpers.paths import ROOT
+from helpers.environment import ROOT
 
 README = (ROOT / "README.md").read_text("utf-8")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]

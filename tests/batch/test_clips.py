@@ -12,9 +12,9 @@ from getagrip.batch.summary import KeepOptions
 from getagrip.clip import input_sha256, write_clip
 from getagrip.result import read_result, write_result
 from getagrip.result.findings import ASSUMED_MESH, Probability
-from helpers.command_line import Run
-from helpers.egg_and_mug import egg_and_mug, perfect
+from helpers.environment import Run
 from helpers.folders import results_in
+from helpers.scenes import egg_and_mug, perfect
 
 RED = "bad\x1b[31mRED\x07"
 """The name of a folder that colours what follows, and rings."""

@@ -15,8 +15,8 @@ import pytest
 
 from getagrip.batch import ledger as ledger_module
 from getagrip.batch.ledger import Ledger, LedgerEntry
+from helpers.environment import import_path
 from helpers.jobs import drive
-from helpers.paths import import_path
 
 COUNT = 24
 

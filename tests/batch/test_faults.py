@@ -30,12 +30,10 @@ from getagrip.io import files
 from getagrip.io.files import to_json
 from getagrip.result import Reconstruction, read_result
 from helpers.clips import small_clip
-from helpers.command_line import Run
-from helpers.egg_and_mug import perfect
-from helpers.faults import FullDisk
-from helpers.folders import results_in
+from helpers.environment import Run, import_path
+from helpers.folders import FailingDisk, results_in
 from helpers.jobs import drive
-from helpers.paths import import_path
+from helpers.scenes import perfect
 
 NAMES = ("a", "Tasse \u6531\u308b \U0001f36b", "ß" * 100)
 """The last has 200 bytes: as long as a name may be."""
@@ -91,7 +89,7 @@ def test_a_disk_that_is_full_at_any_write(
         out.parent.mkdir(exist_ok=True)
         monkeypatch.chdir(out.parent)
         with monkeypatch.context() as patch:
-            disk = FullDisk(patch, first, last)
+            disk = FailingDisk(patch, first, last)
             status, _, err = run("reconstruct", clips / "a", clips / NAMES[2], "--out", out.name)
         return disk.writes, status, err
 

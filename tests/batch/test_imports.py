@@ -20,9 +20,7 @@ from getagrip.errors import InputError
 from getagrip.io import files
 from getagrip.readers.datasets.cutting import TrackedDataset
 from getagrip.readers.datasets.dataset import clips
-from helpers.command_line import Run
-from helpers.library import Library, Shelf
-from helpers.paths import ROOT
+from helpers.environment import ROOT, Library, Run, Shelf
 
 SHARING = ("workers", "engine", "address", "limit-seconds", "limit-gb", "fail-fast", "shard", "ledger")
 

@@ -16,7 +16,7 @@ from getagrip.fitting.options import Options
 from getagrip.io.files import to_json
 from getagrip.result import Reconstruction, write_result
 from getagrip.result.findings import ASSUMED_MESH, Finding, Probability
-from helpers.egg_and_mug import egg_and_mug, perfect
+from helpers.scenes import egg_and_mug, perfect
 
 DOUBT = Finding("contact-gap", True, 240.0, 15.0, "nothing is held")
 

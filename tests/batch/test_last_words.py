@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.paths import import_path
+from helpers.environment import import_path
 
 CODE = """
 import os, sys

@@ -16,12 +16,10 @@ import pytest
 
 from getagrip.clip import write_clip
 from getagrip.io.plugins import install_command
-from helpers.command_line import Run
+from helpers.clusters import RayCluster, ray_cluster
+from helpers.environment import Run, import_path
 from helpers.folders import results_in
-from helpers.paths import import_path
-from helpers.ray_cluster import RayCluster, ray_cluster
-from helpers.scenes import SHORT, scene
-from helpers.table_scene import from_table
+from helpers.scenes import SHORT, from_table, scene
 
 COUNT = 18
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray: pip install -e '.[ray]'")

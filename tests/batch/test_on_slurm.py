@@ -21,12 +21,10 @@ from getagrip.batch.scheduling import SchedulingOptions
 from getagrip.clip import write_clip
 from getagrip.errors import GetagripError
 from getagrip.io import plugins
-from helpers.command_line import Run
+from helpers.clusters import write_slurm
+from helpers.environment import Library, Run, Shelf, import_path
 from helpers.jobs import dies_once, drive, loses_its_task, patient
-from helpers.library import Library, Shelf
-from helpers.paths import import_path
-from helpers.slurm import write_slurm
-from helpers.table_scene import from_table
+from helpers.scenes import from_table
 
 needs_submitit = pytest.mark.skipif(find_spec("submitit") is None, reason="needs submitit: pip install -e '.[slurm]'")
 

@@ -15,8 +15,8 @@ import pytest
 from getagrip.batch.executor import FinishedJob, Processes, run_in_processes, run_on_executor
 from getagrip.batch.job import NO_LIMITS, Limits
 from getagrip.errors import UsageError
+from helpers.environment import import_path
 from helpers.jobs import dies_once, greedy, patient, slow_start, work
-from helpers.paths import import_path
 
 
 def shared(work: Callable, jobs: list[Any], workers: int, limits: Limits = NO_LIMITS) -> Iterator[FinishedJob]:

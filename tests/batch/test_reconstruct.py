@@ -27,10 +27,9 @@ from getagrip.io import files, plugins
 from getagrip.io.files import new_folder, to_json
 from getagrip.result import RESULT_FILES, Reconstruction, read_result
 from helpers.clips import small_clip
-from helpers.command_line import Run
-from helpers.egg_and_mug import perfect
+from helpers.environment import Run, import_path
 from helpers.folders import FullDisk, contents, results_in
-from helpers.paths import import_path
+from helpers.scenes import perfect
 
 LONG = "ß" * 100
 """200 bytes: as long as a name may be."""

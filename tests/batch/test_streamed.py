@@ -21,11 +21,10 @@ from getagrip.io.plugins import install_command
 from getagrip.io.storage import RemotePath
 from getagrip.result import Reconstruction, read_result
 from helpers.clips import small_clip
-from helpers.command_line import Run
-from helpers.egg_and_mug import perfect
+from helpers.clusters import BUCKET, s3_server
+from helpers.environment import Run
 from helpers.folders import contents
-from helpers.object_store import BUCKET, s3_server
-from helpers.scenes import SHORT, scene
+from helpers.scenes import SHORT, perfect, scene
 
 needs_s3 = pytest.mark.skipif(
     not (find_spec("s3fs") and find_spec("moto")), reason="needs s3fs and a server: pip install s3fs 'moto[server]'"

@@ -24,7 +24,7 @@ from getagrip.geometry import se3
 from getagrip.metrics.evaluate import evaluate_result
 from getagrip.metrics.evaluate.results import read_result_clip_masks
 from getagrip.result import read_result
-from helpers.command_line import Run
+from helpers.environment import Run
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from getagrip.cli import main
 from getagrip.cli.bench import BENCHES
 from getagrip.synthetic.categories import SYNTHETIC_PRESETS
 from getagrip.synthetic.noise import NOISE_PRESETS
-from helpers.command_line import Run
+from helpers.environment import Run
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from getagrip.bench.tables import (
     comparison_markdown,
 )
 from getagrip.fitting.options import Options
-from helpers.scores import score
+from helpers.measures import score
 
 
 def test_the_papers_metrics_are_columns() -> None:

@@ -15,8 +15,8 @@ from getagrip.bench.sources import Sample
 from getagrip.clip import Segment, World, write_clip
 from getagrip.fitting.options import Options
 from getagrip.io import plugins
-from helpers.command_line import Run
-from helpers.table_scene import from_table
+from helpers.environment import Run
+from helpers.scenes import from_table
 
 FRAMES = 12
 

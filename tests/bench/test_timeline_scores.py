@@ -12,7 +12,7 @@ from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.metrics.symmetry import find_symmetries
 from getagrip.timelines.variants import TIMELINE_VARIANTS, reconstruct_variant
-from helpers.timelines import timeline
+from helpers.scenes import timeline
 
 
 @pytest.mark.slow

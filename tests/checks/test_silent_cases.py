@@ -21,7 +21,7 @@ from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.geometry import se3
 from getagrip.provenance import assumed
 from getagrip.reconstruct import reconstruct
-from helpers.command_line import Run
+from helpers.environment import Run
 from helpers.scenes import SMALL, scene
 
 QUICK = Options(inits=6)

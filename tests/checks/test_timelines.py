@@ -12,7 +12,7 @@ from getagrip.clip import Clip, Masks, check_clip
 from getagrip.errors import InputError
 from getagrip.fitting.stages.robust_masks import image_iou
 from getagrip.geometry import se3
-from helpers.timelines import COMES, LIES, timeline
+from helpers.scenes import COMES, LIES, timeline
 
 
 def examined(clip: Clip, iou: float = 0.9, away: float = 0.0, hidden: bool = False) -> TimelineChecks:

@@ -14,7 +14,7 @@ from getagrip.cli import command_groups
 from getagrip.cli.command import Command
 from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.result import read_result
-from helpers.command_line import Run
+from helpers.environment import Run
 from helpers.folders import results_in
 
 QUICK = ("--inits", "8", "--frames", "4")

@@ -14,7 +14,7 @@ import pytest
 from getagrip import __main__ as program
 from getagrip import cli
 from getagrip.io import processes
-from helpers.paths import import_path
+from helpers.environment import import_path
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 PRESS = "import os, signal; from getagrip.io import processes; processes.{0}(); os.kill(os.getpid(), signal.SIGINT)"

@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from helpers.command_line import Run
+from helpers.environment import ROOT, Run
+from helpers.folders import Linked, Written
 from helpers.link_calls import CALLS, COMPOSED, quicken, write_link_inputs
-from helpers.linked_names import Linked, Written
-from helpers.paths import ROOT
 
 
 @pytest.fixture(scope="module")

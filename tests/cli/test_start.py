@@ -13,8 +13,7 @@ import pytest
 import getagrip
 from getagrip import __main__
 from getagrip.cli import main
-from helpers.command_line import Run
-from helpers.paths import ROOT
+from helpers.environment import ROOT, Run
 
 
 def test_an_interrupt_while_modules_load_leaves_no_traceback(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:

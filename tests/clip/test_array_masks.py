@@ -14,7 +14,7 @@ from numpy import ndarray
 from getagrip.io import arrays
 from getagrip.readers.masks.mask_request import MaskRequest
 from getagrip.readers.masks.mask_sources import open_masks
-from helpers.mask_files import FRAMES, SIZE, labels
+from helpers.program_files import FRAMES, SIZE, labels
 
 CUP = labels() == 1
 REQUEST = MaskRequest(FRAMES, SIZE)

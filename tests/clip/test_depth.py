@@ -18,7 +18,7 @@ from getagrip.clip.depth import DEPTH_KEY, N_WINDOW_SAMPLES, Depth, DepthSource,
 from getagrip.errors import InputError
 from getagrip.geometry.camera import backproject, project
 from helpers.clips import small_clip
-from helpers.exr_files import exr
+from helpers.program_files import exr
 
 
 def a_clip() -> tuple[Clip, Masks]:

@@ -22,7 +22,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays
 from getagrip.readers.masks.mask_request import MaskRequest, read_label_image
 from getagrip.readers.masks.mask_sources import open_masks
-from helpers.mask_files import FRAMES, SIZE, coco, label_folder, labels, segments_of, write_png
+from helpers.program_files import FRAMES, SIZE, coco, label_folder, labels, segments_of, write_png
 
 
 @pytest.mark.parametrize(("depth", "kind"), [(1, 0), (2, 0), (4, 0), (8, 0), (16, 0), (1, 3), (2, 3), (4, 3), (8, 3)])

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from getagrip.clip import Clip, Masks, input_sha256, observed_frames, read_clip, read_masks, read_observed, write_clip
 from getagrip.errors import InputError
 from getagrip.io import files
-from helpers.broken_clips import at, edit_json, edit_npz
-from helpers.clip_faults import BROKEN
+from helpers.clip_faults import BROKEN, at, edit_json, edit_npz
 from helpers.clips import small_clip
 
 Refused = Callable[..., str]

@@ -18,7 +18,7 @@ from numpy import ndarray
 from getagrip.errors import UsageError
 from getagrip.readers.masks.mask_request import MaskRequest
 from getagrip.readers.masks.mask_sources import open_masks
-from helpers.mask_files import FRAMES, SIZE, encoded, write_png
+from helpers.program_files import FRAMES, SIZE, encoded, write_png
 
 REQUEST = MaskRequest(FRAMES, SIZE, ("cup",))
 A, B = np.zeros((2, *SIZE[::-1]), dtype=bool)

@@ -12,7 +12,7 @@ import pytest
 
 from getagrip.clip import Segment, read_clip, write_clip
 from helpers.clips import small_clip
-from helpers.command_line import Run
+from helpers.environment import Run
 
 ROWS = [
     {"state": "static", "first": "1", "last": "3"},

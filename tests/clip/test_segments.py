@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from getagrip.errors import InputError
 from getagrip.readers.masks.mask_regions import decode_region, decode_run_lengths, fill_polygons
-from helpers.mask_files import SIZE, encoded
+from helpers.program_files import SIZE, encoded
 
 
 def test_polygons_fill_the_pixels_whose_centres_they_hold() -> None:

@@ -24,7 +24,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import files
 from getagrip.io.images import write_image, write_mask
-from helpers.broken_clips import edit_json, edit_npz, edit_png
+from helpers.clip_faults import edit_json, edit_npz, edit_png
 from helpers.clips import small_clip
 from helpers.folders import FullDisk, contents
 

@@ -14,9 +14,16 @@ from getagrip.geometry.mesh_files import read_mesh
 from getagrip.readers.datasets import arctic, cutting
 from getagrip.readers.datasets.track_files import Tracks
 from getagrip.readers.datasets.tracks import Track
-from helpers.artigrasp_files import ESTIMATE_WORLD, SEQUENCE, write_artigrasp, write_estimates
-from helpers.paths import folder_of
-from helpers.recorded_joints import OPENED, TAKEN, recording
+from helpers.environment import folder_of
+from helpers.motion_capture_files import (
+    ESTIMATE_WORLD,
+    OPENED_BOX,
+    SEQUENCE,
+    TAKEN,
+    recording,
+    write_artigrasp,
+    write_estimates,
+)
 from scripts.convert import artigrasp
 
 
@@ -83,7 +90,7 @@ def test_meshes_have_enough_vertices_to_count_contact(root: Path) -> None:
 def test_a_grasp_ends_where_the_joint_turns(root: Path) -> None:
     found = list(cutting.cut_into_grasps(read(root), print, tracks(root).cut(print)))
     spans = [(p.track.side, int(p.track.numbers[0]), int(p.track.numbers[-1])) for p in found]
-    assert spans == [("right", TAKEN, OPENED - 1), ("right", OPENED, 63)]  # the left hand holds nothing
+    assert spans == [("right", TAKEN, OPENED_BOX - 1), ("right", OPENED_BOX, 63)]  # the left hand holds nothing
     provenance = found[0].track.describe(found[0])
     assert found[0].name == f"s1--{SEQUENCE}--box--right"
     assert "non-commercial" in provenance["licence"]

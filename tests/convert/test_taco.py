@@ -13,9 +13,9 @@ from getagrip.geometry import se3
 from getagrip.hands import generic, mano
 from getagrip.hands.model import Side
 from getagrip.readers.datasets.track_files import Tracks
+from helpers.environment import DATA, folder_of, needs
 from helpers.held_ball import Hostile, motion
-from helpers.paths import DATA, folder_of, needs
-from helpers.taco_files import write_taco
+from helpers.motion_capture_files import write_taco
 from scripts.convert import taco
 
 PUBLISHED = DATA / "mano" / "contact_regions.json"

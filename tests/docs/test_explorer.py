@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from benchmarks import store
-from helpers.browser import IN_BROWSER
-from helpers.paths import ROOT
+from helpers.annotation import IN_BROWSER
+from helpers.environment import ROOT
 
 pytestmark = IN_BROWSER
 

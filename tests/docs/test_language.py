@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from helpers.environment import ROOT
 from helpers.pages import PAGES
-from helpers.paths import ROOT
 
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
 TEXTS = sorted(

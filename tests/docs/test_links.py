@@ -8,8 +8,8 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
+from helpers.environment import ROOT
 from helpers.pages import PAGES, anchors, targets
-from helpers.paths import ROOT
 
 DOCS = ROOT / "docs"
 

@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 
 import getagrip
-from helpers.command_line import Run
+from helpers.environment import ROOT, Run
 from helpers.pages import PAGES
-from helpers.paths import ROOT
 
 
 @pytest.fixture(scope="module")

@@ -23,9 +23,9 @@ from getagrip.bench.tables import clips_csv_rows, comparison_csv_rows, compariso
 from getagrip.cli.bench import Bench, Benches
 from getagrip.fitting.options import Options
 from getagrip.io import files
+from helpers.environment import ROOT
+from helpers.measures import score
 from helpers.pages import PAGES
-from helpers.paths import ROOT
-from helpers.scores import score
 
 TABLE = Table(
     "Two methods",

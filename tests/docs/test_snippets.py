@@ -11,10 +11,10 @@ import pytest
 
 import getagrip
 from getagrip.clip import input_sha256, write_clip
+from helpers.environment import ROOT
 from helpers.pages import PAGES, python
-from helpers.paths import ROOT
+from helpers.results import true_result
 from helpers.scenes import SHORT, scene
-from helpers.true_result import true_result
 
 STORY = ("formats", "grasps", "metrics")
 """Pages whose Python is about one clip and its result, one page after the other."""

@@ -17,10 +17,8 @@ from getagrip.result import read_result
 from getagrip.synthetic import scene_options
 from getagrip.synthetic.categories import SYNTHETIC_PRESETS
 from getagrip.synthetic.scene import clip_name
-from helpers.command_line import Run
-from helpers.pages import commands
-from helpers.paths import ROOT
-from helpers.pictures import pixels_of, read_picture
+from helpers.environment import ROOT, Run
+from helpers.pages import commands, pixels_of, read_picture
 
 TUTORIAL = ROOT / "docs" / "tutorial.md"
 SMALLER = {

@@ -15,7 +15,7 @@ from getagrip import cli
 from getagrip.cli import datasets
 from getagrip.cli.command import Command
 from getagrip.cli.figure import Figures
-from helpers.paths import ROOT
+from helpers.environment import ROOT
 
 CALL = re.compile(
     r"(?:^|[\s`'\"(])getagrip ((?:[a-z][a-z0-9-]*)(?: [a-z][a-z-]*)?)((?:[^.;`\n]|\.(?=\w|\.))*)", re.MULTILINE

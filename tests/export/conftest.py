@@ -9,7 +9,7 @@ import pytest
 
 from getagrip.clip import OtherHand
 from getagrip.export import Scene
-from helpers.exported import result_and_clip
+from helpers.results import result_and_clip
 
 
 @pytest.fixture

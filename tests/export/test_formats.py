@@ -22,8 +22,8 @@ from getagrip.export.bop import image_ids
 from getagrip.export.scene import StageFrame
 from getagrip.geometry import se3
 from getagrip.result import write_result
-from helpers.command_line import Run
-from helpers.exported import result_and_clip
+from helpers.environment import Run
+from helpers.results import result_and_clip
 
 LIBRARIES = {"usd": "pxr", "mujoco": "mujoco", "lerobot": "pyarrow", "mcap": "mcap"}
 """Formats that need an extra, and a module of it."""

@@ -17,9 +17,9 @@ from getagrip.export.lerobot import CAMERA_FEATURE, STATE_COMPONENTS, feature_st
 from getagrip.export.scene import StageFrame
 from getagrip.geometry import se3
 from getagrip.io.images import write_image
-from helpers.needs import needs
+from helpers.environment import needs_library
 
-pytestmark = needs("pyarrow", "lerobot")
+pytestmark = needs_library("pyarrow", "lerobot")
 DATA, EPISODES = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
 
 

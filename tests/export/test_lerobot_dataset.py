@@ -18,9 +18,9 @@ from getagrip.errors import InputError, UsageError
 from getagrip.export import Scene
 from getagrip.export.lerobot import feature_statistics
 from getagrip.export.lerobot_dataset import LerobotDataset
-from helpers.needs import needs
+from helpers.environment import needs_library
 
-pytestmark = needs("pyarrow", "lerobot")
+pytestmark = needs_library("pyarrow", "lerobot")
 
 
 def columns(folder: Path) -> dict[str, np.ndarray]:

@@ -19,9 +19,9 @@ from getagrip.errors import InputError
 from getagrip.export import Scene, export
 from getagrip.export.scene import StageFrame
 from getagrip.geometry import se3
-from helpers.needs import needs
+from helpers.environment import needs_library
 
-pytestmark = needs("mcap", "mcap")
+pytestmark = needs_library("mcap", "mcap")
 
 
 def messages(path: Path) -> dict[str, list[tuple[int, dict[str, Any]]]]:

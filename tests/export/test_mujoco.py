@@ -16,10 +16,10 @@ from getagrip.export.mujoco import convex_decomposition
 from getagrip.export.scene import BONE_END_JOINTS, Bones, StageFrame
 from getagrip.geometry import se3
 from helpers.clips import box
-from helpers.needs import needs
-from helpers.true_result import true_result
+from helpers.environment import needs_library
+from helpers.results import true_result
 
-pytestmark = needs("mujoco", "mujoco")
+pytestmark = needs_library("mujoco", "mujoco")
 
 
 def loaded(scene: Scene, folder: Path) -> tuple[Any, Any]:

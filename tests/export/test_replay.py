@@ -14,8 +14,8 @@ from getagrip.export import Scene
 from getagrip.export.replay import simulate_replay, split_hand_by_bones
 from getagrip.export.scene import StageFrame
 from getagrip.geometry import se3
-from helpers.needs import needs
-from helpers.true_result import true_result
+from helpers.environment import needs_library
+from helpers.results import true_result
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def dropped(scene: Scene, by: float) -> Scene:
     return replace(scene, T_hand_obj=T)
 
 
-@needs("mujoco", "mujoco")
+@needs_library("mujoco", "mujoco")
 @pytest.mark.slow
 def test_a_grasp_holds_and_what_is_beside_the_hand_falls(grasp: Scene) -> None:
     held, fallen = simulate_replay(grasp), simulate_replay(dropped(grasp, 0.03))
@@ -66,7 +66,7 @@ def test_parts_move_as_the_hand_does(grasp: Scene) -> None:
         split_hand_by_bones(replace(grasp, joints=None))
 
 
-@needs("mujoco", "mujoco")
+@needs_library("mujoco", "mujoco")
 def test_one_frame_is_refused(grasp: Scene) -> None:
     one = replace(grasp, frames=grasp.frames[:1])
     with pytest.raises(UsageError, match="two frames"):

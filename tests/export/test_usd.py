@@ -15,9 +15,9 @@ from getagrip.export.scene import StageFrame
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.io import plugins
-from helpers.needs import needs
+from helpers.environment import needs_library
 
-pytestmark = needs("pxr", "usd")
+pytestmark = needs_library("pxr", "usd")
 
 
 @pytest.mark.slow

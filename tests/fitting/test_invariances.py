@@ -14,8 +14,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction
-from helpers.reconstructions import DEFAULT, found
-from helpers.scenes import SHORT, SMALL, scene
+from helpers.scenes import DEFAULT, SHORT, SMALL, found, scene
 
 SHIFTED = se3.rigid(None, np.array([0.1, -0.2, 0.05]))
 

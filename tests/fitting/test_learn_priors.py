@@ -14,7 +14,7 @@ from getagrip.fitting.solver import cluster_poses as clusters
 from getagrip.fitting.solver.cluster_poses import cluster_rotations, karcher_mean, learn_pose_priors, true_grasp_pose
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from helpers.grasp_priors import held, rotations
+from helpers.measures import held, rotations
 
 SEEDS = st.integers(0, 2**32 - 1)
 

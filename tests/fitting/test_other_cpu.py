@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_info
 from getagrip.clip import read_clip, write_clip
 from getagrip.geometry import se3
 from getagrip.reconstruct import reconstruct
-from helpers.paths import import_path
+from helpers.environment import import_path
 from helpers.scenes import SHORT, scene
 
 KERNELS = {one["architecture"] for one in threadpool_info() if one["internal_api"] == "openblas"}

@@ -24,8 +24,8 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.io.terminal import format_count
 from helpers.clips import small_clip
-from helpers.grasp_priors import held, old_file, rotations
-from helpers.paths import DATA, needs
+from helpers.environment import DATA, needs
+from helpers.measures import held, old_file, rotations
 
 REAL = DATA / "epic" / "pose_priors"
 

@@ -18,8 +18,7 @@ from getagrip.fitting.stages.robust_masks import image_iou
 from getagrip.geometry import se3
 from getagrip.reconstruct import reconstruct
 from helpers.clips import small_clip
-from helpers.reconstructions import DEFAULT, found
-from helpers.scenes import SHORT, SMALL, scene, scores
+from helpers.scenes import DEFAULT, SHORT, SMALL, found, scene, scores
 
 STILL = replace(SMALL, turn_deg=(0.0, 0.0), residual_deg=0.0, residual_mm=0.0)
 

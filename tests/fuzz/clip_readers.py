@@ -28,7 +28,7 @@ from getagrip.stable_grasps import grasp_lists as stable_grasps_grasp_lists
 from getagrip.studio.store import labels, tasks
 from getagrip.studio.store.mark_store import MarkStore
 from helpers.clips import box, small_clip
-from helpers.true_result import true_result
+from helpers.results import true_result
 
 
 def whole_clip(folder: Path) -> None:

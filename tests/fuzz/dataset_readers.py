@@ -28,11 +28,9 @@ from getagrip.readers.datasets.hot3d.hot3d_clips import Hot3d
 from getagrip.readers.datasets.track_files import Tracks
 from getagrip.readers.video import video_frames, video_info
 from getagrip.studio.store import tasks
-from helpers import dexycb_files, epic_files, tracks_files, visor_files
-from helpers.arctic_files import write_arctic
-from helpers.ho3d_files import write_ho3d
-from helpers.hoi4d_files import write_hoi4d, write_labels
-from helpers.hot3d_files import write_hot3d
+from helpers import dexycb_files, epic_files, motion_capture_files
+from helpers.hand_object_files import write_ho3d, write_hoi4d, write_hot3d, write_labels
+from helpers.motion_capture_files import write_arctic
 
 
 def tracks(dataset: Callable[[Path], TrackedDataset], write: Callable[[Path], object]) -> Reader:
@@ -87,7 +85,7 @@ def read_epic_timelines(folder: Path) -> None:
 
 def visor_zip(folder: Path) -> None:
     things = epic_files.scene()
-    path = visor_files.write(folder / "P01_101.json", [visor_files.dense("P01_101", 7, (7, 9), *things)])
+    path = epic_files.write(folder / "P01_101.json", [epic_files.dense("P01_101", 7, (7, 9), *things)])
     with zipfile.ZipFile(folder / "P01_101_interpolations.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.write(path, "P01_101_interpolations.json")
     path.unlink()
@@ -162,7 +160,7 @@ def hoi4d(folder: Path, mano_files: Path) -> None:
 
 
 READERS: dict[str, Reader] = {
-    "tracks": tracks(lambda folder: Tracks(root=folder / "one.npz"), tracks_files.write),
+    "tracks": tracks(lambda folder: Tracks(root=folder / "one.npz"), motion_capture_files.write),
     "arctic": tracks(lambda folder: Arctic(root=folder / "data", mano=mano_folder()), in_mano(write_arctic)),
     "dexycb": tracks(lambda folder: DexYcb(root=folder), dexycb_files.write_dexycb),
     "dexycb packed": tracks(lambda folder: DexYcb(root=folder / "packed", meshes=folder / "ycb"), packed_dexycb),

@@ -29,10 +29,10 @@ from getagrip.readers.trackers.joints import Joints, Soma
 from getagrip.readers.trackers.landmarks_2d import Landmarks
 from getagrip.readers.trackers.mano_parameters import ManoParameters
 from getagrip.readers.trackers.v2d import V2D
-from helpers import camera_files, estimator_files, mask_files, other_estimators
-from helpers.estimator_files import Known, hamer_record, write_npz
+from helpers import hand_files, program_files
+from helpers.hand_files import Known, hamer_record, write_npz
 
-REQUEST = MaskRequest(mask_files.FRAMES, mask_files.SIZE, ("1",), ("2", "3"))
+REQUEST = MaskRequest(program_files.FRAMES, program_files.SIZE, ("1",), ("2", "3"))
 
 
 def masks(name: str, write: Callable[[Path], object], wanted: MaskRequest = REQUEST) -> Reader:
@@ -47,26 +47,26 @@ def masks(name: str, write: Callable[[Path], object], wanted: MaskRequest = REQU
 
 
 def mask_arrays(path: Path) -> None:
-    arrays.write(path, {"labels": mask_files.labels()[::-1].astype(np.uint8), "frames": np.array([4, 3])})
+    arrays.write(path, {"labels": program_files.labels()[::-1].astype(np.uint8), "frames": np.array([4, 3])})
 
 
 def thing_folders(folder: Path) -> None:
     for thing in ("object", "ignore"):
         (folder / thing).mkdir(parents=True)
-        for name, values in zip(mask_files.FRAMES, mask_files.labels(), strict=True):
-            mask_files.write_png(folder / thing / f"{name}.png", values == 1, 1, 0)
+        for name, values in zip(program_files.FRAMES, program_files.labels(), strict=True):
+            program_files.write_png(folder / thing / f"{name}.png", values == 1, 1, 0)
 
 
 def segments(path: Path) -> None:
-    path.write_bytes(pickle.dumps(mask_files.segments_of(2)))
+    path.write_bytes(pickle.dumps(program_files.segments_of(2)))
 
 
 def hands(tracker: Tracker, write: Callable[[Path, Known], object], with_mano: bool = False) -> Reader:
     """An estimator's files of three frames."""
 
     def read(folder: Path) -> None:
-        K = np.tile(estimator_files.K, (3, 1, 1))
-        given = Request("right", estimator_files.FRAMES, K, estimator_files.SIZE, mano_folder() if with_mano else None)
+        K = np.tile(hand_files.K, (3, 1, 1))
+        given = Request("right", hand_files.FRAMES, K, hand_files.SIZE, mano_folder() if with_mano else None)
         read_hands([folder], tracker, given)
 
     return Reader(lambda folder: write(folder, known_hand(with_mano)), read)
@@ -77,20 +77,20 @@ def known_hand(with_mano: bool) -> Known:
 
 
 def hamer(folder: Path, known: Known) -> None:
-    for n, name in enumerate(estimator_files.FRAMES):
+    for n, name in enumerate(hand_files.FRAMES):
         write_npz(folder / f"{name}.npz", hamer_record(known, n, ("crop", "full", "box")[n]))
 
 
 def hamer_demo(folder: Path, known: Known) -> None:
     for n in range(3):
-        estimator_files.demo_files(folder, known, n)
+        hand_files.demo_files(folder, known, n)
 
 
 def hamer_pickles(folder: Path, known: Known) -> None:
     record = hamer_record(known, 0, "full")
     inner = {key: record[key] for key in ("global_orient", "hand_pose", "betas", "pred_cam_t_full")}
     inner["scaled_focal_length"] = np.float64(record["scaled_focal_length"])
-    for name in estimator_files.FRAMES:
+    for name in hand_files.FRAMES:
         (folder / f"{name}.pkl").write_bytes(pickle.dumps({"is_right": 1.0, "wilor_preds": inner}))
 
 
@@ -106,10 +106,8 @@ def hawor(folder: Path, known: Known) -> None:
 
 def frankmocap(folder: Path, known: Known) -> None:
     known.vertices = known.vertices[:, :778]
-    for n, name in enumerate(estimator_files.FRAMES):
-        (folder / f"{name}_prediction_result.pkl").write_bytes(
-            pickle.dumps(estimator_files.frankmocap_record(known, n))
-        )
+    for n, name in enumerate(hand_files.FRAMES):
+        (folder / f"{name}_prediction_result.pkl").write_bytes(pickle.dumps(hand_files.frankmocap_record(known, n)))
 
 
 def mano_parameters(folder: Path, known: Known) -> None:
@@ -120,13 +118,13 @@ def mano_parameters(folder: Path, known: Known) -> None:
 
 
 def joint_arrays(folder: Path, known: Known) -> None:
-    write_npz(folder / "j.npz", {"joints": known.joints, "frames": np.array(estimator_files.FRAMES)})
+    write_npz(folder / "j.npz", {"joints": known.joints, "frames": np.array(hand_files.FRAMES)})
 
 
 def mano_files(folder: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         (folder / "mano").mkdir()
-        estimator_files.write_mano_files(folder / "mano", patch)
+        hand_files.write_mano_files(folder / "mano", patch)
 
 
 def cameras(write: Callable[[Path, np.ndarray], Path]) -> Reader:
@@ -136,36 +134,38 @@ def cameras(write: Callable[[Path, np.ndarray], Path]) -> Reader:
         inside = sorted(folder.iterdir())
         read_camera_path(inside[0] if len(inside) == 1 and inside[0].is_file() else folder)
 
-    return Reader(lambda folder: write(folder, camera_files.known()), read)
+    return Reader(lambda folder: write(folder, program_files.known()), read)
 
 
 def soma(folder: Path, known: Known) -> None:
-    write_npz(folder / "j.npz", {"joints": other_estimators.soma_joints(known.joints)})
+    write_npz(folder / "j.npz", {"joints": hand_files.soma_joints(known.joints)})
 
 
 READERS: dict[str, Reader] = {
-    **{f"cameras {name}": cameras(write) for name, (write, _, _) in camera_files.WRITERS.items()},
-    "hands hawor world": hands(HaWoR(), lambda folder, known: other_estimators.hawor_folder(folder, known, None)),
-    "hands dynhamr": hands(DynHaMR(), lambda folder, known: other_estimators.dynhamr_file(folder, known, None)),
-    "hands fasthamer": hands(HaMeR(), other_estimators.fasthamer_files),
-    "hands v2d result": hands(V2D(), other_estimators.v2d_result),
-    "hands egovision": hands(EgoVision(), other_estimators.egovision_file),
-    "hands egohandkit": hands(EgoHandKit(), other_estimators.egohandkit_pickle),
-    "hands egohandkit v1": hands(EgoHandKit(), other_estimators.egohandkit_results),
-    "hands v2d": hands(HaMeR(), other_estimators.v2d_tracks),
+    **{f"cameras {name}": cameras(write) for name, (write, _, _) in program_files.WRITERS.items()},
+    "hands hawor world": hands(HaWoR(), lambda folder, known: hand_files.hawor_folder(folder, known, None)),
+    "hands dynhamr": hands(DynHaMR(), lambda folder, known: hand_files.dynhamr_file(folder, known, None)),
+    "hands fasthamer": hands(HaMeR(), hand_files.fasthamer_files),
+    "hands v2d result": hands(V2D(), hand_files.v2d_result),
+    "hands egovision": hands(EgoVision(), hand_files.egovision_file),
+    "hands egohandkit": hands(EgoHandKit(), hand_files.egohandkit_pickle),
+    "hands egohandkit v1": hands(EgoHandKit(), hand_files.egohandkit_results),
+    "hands v2d": hands(HaMeR(), hand_files.v2d_tracks),
     "hands soma": hands(Soma(), soma),
-    "hands mediapipe": hands(Landmarks(), other_estimators.mediapipe_files),
-    "hands mmpose": hands(Landmarks(), other_estimators.mmpose_file),
-    "masks labels": masks("labels", mask_files.label_folder),
+    "hands mediapipe": hands(Landmarks(), hand_files.mediapipe_files),
+    "hands mmpose": hands(Landmarks(), hand_files.mmpose_file),
+    "masks labels": masks("labels", program_files.label_folder),
     "masks things": masks("things", thing_folders, replace(REQUEST, object=(), ignore=())),
-    "masks coco": masks("a.json", mask_files.coco, replace(REQUEST, object=("cup",), ignore=("hand", "3"))),
-    "masks coco lists": masks("a.json", lambda path: mask_files.coco(path, False), replace(REQUEST, object=("cup",))),
+    "masks coco": masks("a.json", program_files.coco, replace(REQUEST, object=("cup",), ignore=("hand", "3"))),
+    "masks coco lists": masks(
+        "a.json", lambda path: program_files.coco(path, False), replace(REQUEST, object=("cup",))
+    ),
     "masks arrays": masks("a.npz", mask_arrays),
     "masks sam2": masks("a.pkl", segments, replace(REQUEST, frames=("000000", "000001"))),
-    "masks youtube-vis": masks("a.json", mask_files.youtube_vis),
-    "masks sa-v": masks("a.json", mask_files.masklets, replace(REQUEST, frames=("000000", "000004"))),
-    "masks labelme": masks("a", mask_files.label_me),
-    "masks npy": masks("a", mask_files.array_folder),
+    "masks youtube-vis": masks("a.json", program_files.youtube_vis),
+    "masks sa-v": masks("a.json", program_files.masklets, replace(REQUEST, frames=("000000", "000004"))),
+    "masks labelme": masks("a", program_files.label_me),
+    "masks npy": masks("a", program_files.array_folder),
     "hands hamer": hands(HaMeR(), hamer),
     "hands hamer demo": hands(HaMeR(), hamer_demo, with_mano=True),
     "hands wilor": hands(WiLoR(), hamer_pickles),

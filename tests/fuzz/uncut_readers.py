@@ -27,7 +27,7 @@ from getagrip.report.pictures.result_view import View
 from getagrip.result import SegmentResult, read_result_record, write_result
 from getagrip.timelines.detect.detect_segments import find_segments
 from helpers.clips import small_clip
-from helpers.true_result import true_result
+from helpers.results import true_result
 
 FEW = Options(inits=2, frames=2)
 

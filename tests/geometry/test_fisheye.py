@@ -7,7 +7,7 @@ import pytest
 
 from getagrip.geometry import se3
 from getagrip.geometry.fisheye import Fisheye624, pinhole
-from helpers.paths import DATA, needs
+from helpers.environment import DATA, needs
 
 HOT3D = DATA / "hot3d"
 SIZE = (640, 480)

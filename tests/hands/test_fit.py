@@ -12,7 +12,7 @@ from getagrip.hands.fit_joints import JOINT_ORDERS, Chains, JointFitUnknowns, Po
 from getagrip.hands.generic import MANO_WRIST_M
 from getagrip.hands.model import KNUCKLES, HandModel, Side, mirrored, mirrored_model
 from getagrip.hands.umetrack import T_world_hand, UmeTrackHand
-from helpers.paths import DATA, needs
+from helpers.environment import DATA, needs
 
 DEXYCB = DATA / "dexycb" / "left_hand_sequences.npz"
 HOT3D = DATA / "hot3d"

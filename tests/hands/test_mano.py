@@ -17,7 +17,7 @@ from getagrip.geometry import se3
 from getagrip.hands import generic, mano
 from getagrip.hands.fit_joints import fit_joints
 from getagrip.hands.model import PALM_REGIONS, PARENTS, HandModel, Side
-from helpers.mano_files import fake_mano, python2
+from helpers.hand_files import fake_mano, python2
 
 
 @pytest.fixture(autouse=True)

@@ -11,8 +11,8 @@ from getagrip.geometry import se3
 from getagrip.hands import umetrack
 from getagrip.hands.generic import MANO_WRIST_M
 from getagrip.hands.model import PALM_REGIONS, SIDE_MIRROR, root_transform
-from helpers.paths import DATA, needs
-from helpers.umetrack_profile import profile
+from helpers.environment import DATA, needs
+from helpers.hand_object_files import profile
 
 HOT3D = DATA / "hot3d"
 

@@ -1,4 +1,7 @@
-"""DexYCB's own layout with one sequence, and the packed one, of known poses."""
+"""DexYCB's own layout with one sequence, and the packed one, of known poses.
+
+DexYCB's sequences as tests read them.
+"""
 
 import numpy as np
 import trimesh
@@ -6,6 +9,9 @@ import trimesh
 from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.fit_joints import JOINT_ORDERS
+from getagrip.readers.datasets.cutting import cut_into_grasps
+from getagrip.readers.datasets.dataset import clips
+from getagrip.readers.datasets.dexycb.dexycb_clips import GRASPS_WITHIN_10_MM, DexYcb
 
 SUBJECT, SEQUENCE, HELD, OTHER = "20200709-subject-01", "20200709_141754", "025_mug", "003_cracker_box"
 NAME = f"{SUBJECT}--{SEQUENCE}--{HELD}"
@@ -120,3 +126,24 @@ def packed(**changes):
         **{key: np.concatenate([array, array]) for key, array in once.items()},
         **changes,
     }
+
+
+def read(root, meshes=None, note=lambda _: None):
+    """The clips of the stable grasps."""
+    return clips(DexYcb(root=root, meshes=meshes), note)
+
+
+def grasps(sequence, note=lambda _: None):
+    """The stable grasps of a sequence, as pieces of its track."""
+    return list(cut_into_grasps(sequence.read(note), note, GRASPS_WITHIN_10_MM.cut(note)))
+
+
+def write_extrinsics(root, T_master_cam, T_master_tag):
+    folder = root / "calibration" / "extrinsics_20200702_151821"
+    folder.mkdir(exist_ok=True)
+    rows = {SERIALS[0]: T_master_cam, SERIALS[1]: np.eye(4), "apriltag": T_master_tag}
+    text = f"master: '{SERIALS[1]}'\nextrinsics:\n"
+    for key, T in rows.items():
+        text += f"  '{key}': {T[:3].ravel().tolist()}\n"
+    (folder / "extrinsics.yml").write_text(text)
+    return folder / "extrinsics.yml"

@@ -1,9 +1,15 @@
-"""A small folder of EPIC-Grasps: a table of one grasp, VISOR's annotations of it, images, and a hand."""
+"""A small folder of EPIC-Grasps: a table of one grasp, VISOR's annotations of it, images, and a hand.
+
+Small files of exactly VISOR's schema, of whose masks the answer is known.
+
+Small folders of EPIC-Grasps and ARCTIC in the official layouts, with MANO stood in for by a file of our making.
+"""
 
 from __future__ import annotations
 
 import csv
 import json
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +22,62 @@ from scipy.spatial.transform import Rotation
 from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.model import hand_track
-from helpers.command_line import Run
-from helpers.visor_files import box, dense, hand, sparse, thing, write, write_mapping
+from helpers.environment import Run
+from helpers.held_ball import ball, bent, posed, write_mano
+
+HANDS = {"left": 300, "right": 301}
+
+
+def box(x0: float, y0: float, x1: float, y1: float) -> list[list[float]]:
+    """The corners of a rectangle."""
+    return [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]
+
+
+def thing(id_: str, name: str, class_id: int, *polygons: Any, **more: Any) -> dict[str, Any]:
+    """An annotation."""
+    return {"id": id_, "name": name, "class_id": class_id, "exhaustive": "y", "segments": list(polygons)} | more
+
+
+def hand(side: str, touches: str | None, *polygons: Any) -> dict[str, Any]:
+    """A hand that touches something."""
+    return thing(f"{side}-hand", f"{side} hand", HANDS[side], *polygons, in_contact_object=touches)
+
+
+def sparse(video: str, number: int, *annotations: dict[str, Any]) -> dict[str, Any]:
+    """A frame that people have annotated."""
+    name = f"{video}_frame_{number:010d}.jpg"
+    image = {"image_path": f"{video}/{name}", "name": name, "subsequence": f"{video}_seq_00001", "video": video}
+    return {"image": image, "annotations": list(annotations)}
+
+
+def dense(video: str, number: int, ends: tuple[int, int], *annotations: dict[str, Any]) -> dict[str, Any]:
+    """A frame that was interpolated between two others."""
+    names = [f"{video}_frame_{n:010d}.jpg" for n in (number, *ends)]
+    image = {
+        "image_path": f"{video}/{names[0]}",
+        "name": names[0],
+        "video": video,
+        "interpolation": f"{video}_interpolation_0001",
+        "interpolation_start_frame": names[1],
+        "interpolation_end_frame": names[2],
+    }
+    kind = int(number in ends)
+    return {"image": image, "annotations": [{**annotation, "type": kind} for annotation in annotations]}
+
+
+def write(path: Path, frames: list[dict[str, Any]]) -> Path:
+    """A file of VISOR's."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps({"info": {"version": "1.1", "n": 1.5e3}, "video_annotations": frames}))
+    return path
+
+
+def write_mapping(path: Path, video: str, epic: dict[int, int]) -> Path:
+    """A frame_mapping.json, with another video before."""
+    names = {f"{video}_frame_{a:010d}.jpg": f"frame_{b:010d}.jpg" for a, b in epic.items()}
+    path.write_text(json.dumps({"P00_01": {"P00_01_frame_0000000140.jpg": "frame_0000000138.jpg"}, video: names}))
+    return path
+
 
 V = "P01_101"
 """A video of the extension: 50 frames a second."""
@@ -124,3 +184,89 @@ def hand_arrays(frames: int) -> dict[str, Any]:
 def import_epic(run: Run, root: Path, *more: object) -> tuple[int, str, str]:
     return run("import", "epic", root / "grasps.csv", "--visor", root / "visor", "--frames", root / "images",
                "--out", root / "out", *more)  # fmt: skip
+
+
+SIZE = (456, 256)
+"""EPIC-KITCHENS' images."""
+CATEGORIES = {"mug": ("left", 1000), "bowl": ("right", 1200)}
+"""Side and first frame of the grasp of each."""
+LENGTH = 4
+
+
+def clip_name(category: str) -> str:
+    side, first = CATEGORIES[category]
+    return f"{V}_{side}_{category}_{first}_{first + LENGTH - 1}"
+
+
+def write_epic_paper(root: Path) -> Path:
+    """Everything that ``reproduce epic-grasps`` needs but hands: two grasps of two categories, of 9 frames each."""
+    rows, frames, mapping = [], [], {}
+    images = root / "EPIC-KITCHENS" / "P01" / "rgb_frames" / V
+    images.mkdir(parents=True)
+    for n, (category, (side, first)) in enumerate(CATEGORIES.items()):
+        last = first + LENGTH - 1
+        rows.append(row(
+            st_bound=first - 50, ed_bound=last + 50, st=first, ed=last, contact=first, handside=f"{side} hand",
+            cat=category, hos_name=category, mp4_name=f"{V}_{first}_{first}_{last}_{side}_{category}.mp4",
+            duration=LENGTH, example=n, fmt=f"{category}/{V}_{side}_hand_{first}_{last}",
+        ))  # fmt: skip
+        for number in range(first, last + 1):
+            shift = 3 * (number - first)
+            seen = [
+                thing("b", category, 15, box(380 + shift, 180, 480 + shift, 290)),
+                hand(side, "b", box(350 + shift, 220, 400 + shift, 290)),
+            ]
+            frames.append(dense(V, number, (first, last), *seen))
+            cv2.imwrite(str(images / f"frame_{number:010d}.jpg"), np.full((*SIZE[::-1], 3), 90, np.uint8))
+        mapping |= {first: first, last: last}
+    write(root / "visor" / f"{V}_interpolations.json", frames)
+    write(root / "visor" / f"{V}.json", [sparse(V, 900, hand("left", None, box(0, 0, 90, 90)))])
+    write_mapping(root / "visor" / "frame_mapping.json", V, mapping)
+    write_table(root / "epicgrasps_2431.csv", *rows)
+    for category, (side, _) in CATEGORIES.items():
+        (root / "cad").mkdir(exist_ok=True)
+        ball(0.05).export(root / "cad" / f"{category}.obj")
+        (root / "pose_priors" / category).mkdir(parents=True)
+        for k, turn in enumerate((0.0, 0.8)):
+            T = se3.rigid(se3.exp_so3(np.array([turn, 0.0, 0.0])), np.array([0.0, -0.06, 0.0]))
+            np.save(root / "pose_priors" / category / f"{side}_rxx{k}.npy", T)
+    write_mano(root / "mano")
+    return root
+
+
+def write_demos(root: Path) -> None:
+    """HaMeR's records and FrankMocap's pickles of the images of clips, 854 x 480, by their own formulas."""
+    for category, (side, first) in CATEGORIES.items():
+        model, shaped = posed(root / "mano", side)
+        s, centre, size = 6.0, np.array([375.0, 255.0]), 244.0
+        for n in range(LENGTH):
+            shift = np.array([1.6 * n / size, 0.0])
+            R = se3.exp_so3(np.array([0.2, 0.03 * n, 0.1]))
+            fingers = se3.exp_so3(bent("right").reshape(15, 3))
+            flip = np.diag([-1.0, 1.0, 1.0])
+            hamer = root / "hamer" / clip_name(category)
+            hamer.mkdir(parents=True, exist_ok=True)
+            np.savez(
+                hamer / f"frame_{first + n:010d}_0.npz", global_orient=R[None], hand_pose=fingers, betas=np.zeros(10),
+                right=float(side == "right"), img_size=np.array([854.0, 480.0]), pred_cam=np.array([s, *shift]),
+                box_center=centre, box_size=size,
+            )  # fmt: skip
+            seen = R if side == "right" else flip @ R @ flip
+            vertices = (shaped.vertices @ seen.T).astype(float)
+            record = {
+                "pred_camera": np.array([s, *shift]), "bbox_scale_ratio": np.float64(224.0 / size),
+                "bbox_top_left": tuple(np.int64(centre - size / 2)),
+                "pred_hand_pose": np.array([[*se3.log_so3(seen), *(bent(side) - model.mean)]]),
+                "pred_hand_betas": np.ones((1, 10)), "pred_vertices_smpl": vertices,
+            }  # fmt: skip
+            hands = {"left_hand": {}, "right_hand": {}} | {f"{side}_hand": record}
+            content = {
+                "image_path": "x.jpg",
+                "demo_type": "hand",
+                "hand_bbox_list": [None],
+                "pred_output_list": [hands],
+            }
+            frank = root / "frankmocap" / clip_name(category)
+            frank.mkdir(parents=True, exist_ok=True)
+            path = frank / f"frame_{first + n:010d}_prediction_result.pkl"
+            path.write_bytes(pickle.dumps(content, protocol=2))

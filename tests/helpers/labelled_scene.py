@@ -1,7 +1,13 @@
-"""A synthetic video of a hand and a thing that move together, and what a person would click on it."""
+"""A synthetic video of a hand and a thing that move together, and what a person would click on it.
+
+Networks that see the hand of ``labelled_scene`` where it is in the first frame, or in its mirror image.
+
+Footage whose frames show their own number.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -12,6 +18,8 @@ import numpy as np
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic
+from getagrip.studio.hands.networks import HandNetOutput, Nets
+from getagrip.studio.hands.palms import HandCrop, Palm
 
 WIDTH, HEIGHT = 320, 240
 FRAMES = 14
@@ -64,3 +72,68 @@ def joints(n: int) -> list[list[float]]:
     R = se3.exp_so3(np.array([0.3, 0.2, -0.4]))
     X = hand @ R.T + np.array([0.0, 0.0, 0.6]) - R @ hand.mean(axis=0)
     return [[round(float(x), 2) for x in point + shift(n) - 20.0] for point in project(K, X)]
+
+
+POINTS = np.array(joints(0))
+
+
+class SceneNets(Nets):
+    """A left hand, detected in every frame, or nothing at all."""
+
+    def __init__(self, hands: bool = True) -> None:
+        super().__init__(lambda image: [], lambda image: [], "made up")
+        object.__setattr__(self, "hands", hands)
+
+    def palms(self, image: np.ndarray, fill: float = 1.0) -> list[Palm]:
+        points = np.tile(POINTS[0], (7, 1))
+        points[2] = POINTS[9]
+        box = np.concatenate([POINTS[[0, 5, 17]].min(axis=0), POINTS[[0, 5, 17]].max(axis=0)])
+        return [Palm(box, points, 0.9)] if self.hands else []  # type: ignore[attr-defined]
+
+    def landmarks(self, image: np.ndarray, crop: HandCrop) -> HandNetOutput:
+        return HandNetOutput(POINTS, np.full((21, 3), np.nan), 0.95, 0.01)
+
+    def mirrored(self, image: np.ndarray, crop: HandCrop) -> HandNetOutput:
+        return self.landmarks(image, crop)._replace(right=0.99)
+
+
+BITS = 8
+NUMBERED_FRAMES = 70
+
+
+def picture(number: int) -> np.ndarray:
+    """An image that shows a number as a row of black and white fields."""
+    image = np.full((64, 32 * BITS, 3), 90, np.uint8)
+    for bit in range(BITS):
+        image[:, 32 * bit : 32 * (bit + 1)] = 235 if number >> bit & 1 else 20
+    return image
+
+
+def number_in(jpeg: bytes) -> int:
+    """The number that an image shows."""
+    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+    fields = np.array_split(image, BITS, axis=1)
+    return sum(1 << bit for bit, field in enumerate(fields) if field.mean() > 127)
+
+
+def write_video(path: Path, times: Sequence[int] | None = None, fps: int = 30, frames: int = NUMBERED_FRAMES) -> Path:
+    """A video with B-frames and a key frame every 23 frames, shown at some times [1/fps s], from 37 on by default."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=fps)
+        stream.width, stream.height, stream.pix_fmt = 32 * BITS, 64, "yuv420p"
+        stream.codec_context.time_base = Fraction(1, fps)
+        stream.codec_context.options = {"bf": "3", "g": "23", "preset": "veryfast", "x264-params": "b-adapt=0"}
+        for n, pts in zip(range(frames), times or range(37, 37 + frames), strict=False):
+            frame = av.VideoFrame.from_ndarray(picture(n), format="rgb24")
+            frame.pts, frame.time_base = pts, Fraction(1, fps)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
+def write_images(folder: Path, numbers: Sequence[int]) -> Path:
+    """A folder of images in EPIC-KITCHENS' manner, each showing its number's last bits."""
+    folder.mkdir(parents=True)
+    for n in numbers:
+        cv2.imwrite(str(folder / f"frame_{n:010d}.jpg"), picture(n % (1 << BITS)))
+    return folder

@@ -33,13 +33,11 @@ from getagrip.studio.store import labels
 from getagrip.synthetic.scene import clip_name
 from getagrip.synthetic.scene_options import SceneOptions
 from getagrip.timelines.detect.detect_segments import DetectedSegment, DetectedSegments
-from helpers.clip_inputs import AHEAD, K, everything, write_inputs
 from helpers.clips import small_clip
-from helpers.labelled_scene import circle, joints, write_scene
+from helpers.epic_files import box, hand, sparse, thing, write, write_mapping
+from helpers.labelled_scene import SceneNets, circle, joints, write_scene
+from helpers.results import AHEAD, K, everything, true_result, write_inputs
 from helpers.scenes import SHORT, scene
-from helpers.seen_hands import SceneNets
-from helpers.true_result import true_result
-from helpers.visor_files import box, hand, sparse, thing, write, write_mapping
 
 CUP = f"--interval 3 8 --side right --mesh unit.obj --size-mm 120 --K {' '.join(K)} --overwrite"
 MASKS = "--object 1 --ignore 2"

@@ -13,7 +13,7 @@ from getagrip.geometry.kernels.silhouette import N_COUNTER_BITS
 from getagrip.geometry.mesh import Mesh
 from getagrip.synthetic import objects
 from helpers.clips import box
-from helpers.parts import callable_part
+from helpers.kernels import callable_part
 
 project, rasterise, silhouette_edges = (
     callable_part(part) for part in (silhouette.project, silhouette.rasterise, silhouette.silhouette_edges)

@@ -7,7 +7,7 @@ import tomllib
 
 from getagrip.bench import grasp_job, segments, timelines
 from getagrip.io import plugins
-from helpers.paths import ROOT
+from helpers.environment import ROOT
 
 
 def test_parts_that_are_left_out_are_those_above_the_fit() -> None:

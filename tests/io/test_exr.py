@@ -10,7 +10,7 @@ import pytest
 
 from getagrip.clip.depth import read_channel
 from getagrip.errors import InputError
-from helpers.exr_files import exr
+from helpers.program_files import exr
 
 MOST = 10_000
 

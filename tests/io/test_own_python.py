@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from getagrip.io.plugins import PACKAGE
-from helpers.paths import import_path
+from helpers.environment import import_path
 
 NAMES = ("getagrip", "pip", "numpy", "signal", "pickle", "threading", "socket", "runpy", "helpers", "submitit")
 """Modules that a process loads early."""

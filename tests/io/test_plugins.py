@@ -14,7 +14,7 @@ from getagrip.io.plugins import PluginTable
 from getagrip.metrics.evaluate.comparison import Comparison
 from getagrip.metrics.evaluate.metric import IOU, Metric, compute_metrics
 from helpers.clips import small_clip
-from helpers.packages import write_package
+from helpers.environment import write_package
 
 Install = Callable[..., Path]
 

@@ -20,7 +20,7 @@ from getagrip.clip import depth
 from getagrip.errors import InputError
 from getagrip.readers import streams, video
 from getagrip.readers.trackers.egodex import EGODEX_JOINTS, read_egodex_joints
-from helpers import exr_files
+from helpers import program_files
 
 h5py: Any = import_module("h5py") if find_spec("h5py") else None
 CAMERA = "transforms/camera"
@@ -29,7 +29,7 @@ CAMERA = "transforms/camera"
 @pytest.mark.parametrize("bound", ["MAX_EXR_BLOCK_BYTES", "MAX_EXR_BYTES"])
 def test_channels_count_with_the_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bound: str) -> None:
     channels = {name: np.ones((32, 10), "<f4") for name in "AZ"}
-    (tmp_path / "a.exr").write_bytes(exr_files.exr(channels))
+    (tmp_path / "a.exr").write_bytes(program_files.exr(channels))
     most = 2 * 4 * 10 * (16 if bound == "MAX_EXR_BLOCK_BYTES" else 32)
     monkeypatch.setattr(depth, bound, most)
     assert depth.read_channel(tmp_path / "a.exr", 1000).shape == (32, 10)

@@ -18,7 +18,7 @@ from getagrip.stable_grasps.axis import (
     pose_hinge,
     rotation_hinge,
 )
-from helpers.turning import unit
+from helpers.scenes import unit
 
 PosesInCamera = tuple[np.ndarray, np.ndarray]
 

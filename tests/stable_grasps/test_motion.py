@@ -7,7 +7,7 @@ import pytest
 
 from getagrip.geometry import se3
 from getagrip.stable_grasps.axis import LOGNORMAL_MEASURES, N_SPECTRUM_MODES, measure_motion, parabola_share, spectrum
-from helpers.error_measures import correlation_time
+from helpers.measures import correlation_time
 
 FPS, FRAMES = 30.0, 30
 TIME = np.linspace(-1.0, 1.0, FRAMES)

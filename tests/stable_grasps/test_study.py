@@ -21,8 +21,8 @@ from getagrip.stable_grasps.study import (
     mean_curves,
     study,
 )
-from helpers.paths import DATA, needs
-from helpers.turning import turning, unit
+from helpers.environment import DATA, needs
+from helpers.scenes import turning, unit
 
 DEFINITION = Definition(tau=0.3, contact=0.005, shortest=10)
 

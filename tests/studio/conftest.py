@@ -12,10 +12,9 @@ from getagrip.studio.masks import propagate_clip
 from getagrip.studio.project import Project
 from getagrip.studio.store.mark_store import MarkStore
 from getagrip.studio.store.tasks import Task
-from helpers import clicking as labelling
-from helpers import marking
-from helpers.labelled_scene import write_scene
-from helpers.numbered_footage import write_video
+from helpers import annotation
+from helpers import annotation as labelling
+from helpers.labelled_scene import write_scene, write_video
 
 
 @pytest.fixture(scope="session")
@@ -36,13 +35,13 @@ def clicking(scene_video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 @pytest.fixture(scope="session")
 def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Footage whose frames show their numbers."""
-    return write_video(tmp_path_factory.mktemp("video") / f"{marking.VIDEO}.mp4", fps=50)
+    return write_video(tmp_path_factory.mktemp("video") / f"{annotation.MARKED_VIDEO}.mp4", fps=50)
 
 
 @pytest.fixture
 def project(video: Path, tmp_path: Path) -> Iterator[Project]:
     """A video as a whole, and a candidate in it."""
-    name = marking.VIDEO
+    name = annotation.MARKED_VIDEO
     candidate = Task("candidate", name, video, 11, 60, "left", "mug", "red mug", contact=20)
     made = Project([Task(name, name, video), candidate], MarkStore(tmp_path / MARKS_DATABASE))
     yield made

@@ -14,9 +14,8 @@ from getagrip.stable_grasps import grasp_lists
 from getagrip.studio.project import Project
 from getagrip.studio.store.export_all import write_mark_files
 from getagrip.studio.store.marks import DISCARD_REASONS, Mark, match_grasps, pairwise_agreements, temporal_iou
-from helpers.command_line import Run
-from helpers.marking import VIDEO, change, grasp, new
-from helpers.paths import DATA, needs
+from helpers.annotation import MARKED_VIDEO, change, grasp, new
+from helpers.environment import DATA, Run, needs
 
 EPIC = DATA / "epic" / "epicgrasps_2431.csv"
 
@@ -60,12 +59,12 @@ def test_the_table_is_read_back_as_epic_grasps(project: Project, tmp_path: Path)
     grasp(project, 1, 30, "bob", "candidate")
     assert write_mark_files(project, tmp_path) == 0
     whole, one = read_grasps(tmp_path / "grasps-ann.csv")
-    assert (one.video, one.start, one.end, one.side) == (VIDEO, 13, 46, "left")
+    assert (one.video, one.start, one.end, one.side) == (MARKED_VIDEO, 13, 46, "left")
     assert (one.category, one.entity) == ("mug", "red mug")
     assert (one.start_bound, one.end_bound, one.contact) == (11, 60, 20)
     assert (whole.start, whole.end, whole.contact) == (6, 10, None)
     rows = json.loads((tmp_path / "grasps-ann.json").read_text())
-    assert [(row["clip"], row["start"], row["end"]) for row in rows] == [(VIDEO, 5, 9), (VIDEO, 12, 45)]
+    assert [(row["clip"], row["start"], row["end"]) for row in rows] == [(MARKED_VIDEO, 5, 9), (MARKED_VIDEO, 12, 45)]
     assert [
         one.duration for one in grasp_lists.read_listed_grasps(tmp_path / "grasps-ann.json").grasps
     ] == pytest.approx([0.1, 0.68], abs=1e-3)

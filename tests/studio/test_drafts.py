@@ -18,9 +18,9 @@ from getagrip.studio import jobs
 from getagrip.studio.masks import propagate_clip
 from getagrip.studio.store.export_all import write_labelled_grasps
 from getagrip.studio.store.history import RefusedError
-from helpers.clicking import FIRST, LAST, Clicking, disc, filled, iou
+from helpers.annotation import FIRST, LAST, Clicking, disc, filled, iou
 from helpers.clips import box
-from helpers.command_line import Run
+from helpers.environment import Run
 from helpers.labelled_scene import circle, joints
 
 

@@ -19,9 +19,9 @@ from getagrip.errors import InputError
 from getagrip.readers.datasets.epic.epic_images import Video as EpicVideo
 from getagrip.readers.footage import ImageCache, ImageFolder, VideoFootage, duration_seconds, encode_footage_jpeg
 from getagrip.studio.store.tasks import open_footage, read_tasks
-from helpers.numbered_footage import BITS, FRAMES, number_in, picture, write_images, write_video
+from helpers.labelled_scene import BITS, NUMBERED_FRAMES, number_in, picture, write_images, write_video
 
-UNEVEN = [40 + n + n * n // 30 for n in range(FRAMES)]
+UNEVEN = [40 + n + n * n // 30 for n in range(NUMBERED_FRAMES)]
 
 
 @pytest.mark.parametrize("suffix", ["mp4", "mkv", "ts"])
@@ -29,13 +29,17 @@ UNEVEN = [40 + n + n * n // 30 for n in range(FRAMES)]
 @pytest.mark.slow
 def test_every_frame_is_the_one_written(tmp_path: Path, suffix: str, times: list[int] | None) -> None:
     video = VideoFootage(write_video(tmp_path / f"a.{suffix}", times))
-    assert video.frames == FRAMES
-    order = list(range(FRAMES)) + list(range(FRAMES - 1, -1, -4)) + random.Random(0).sample(range(FRAMES), 12)
+    assert video.frames == NUMBERED_FRAMES
+    order = (
+        list(range(NUMBERED_FRAMES))
+        + list(range(NUMBERED_FRAMES - 1, -1, -4))
+        + random.Random(0).sample(range(NUMBERED_FRAMES), 12)
+    )
     for n in order:
         video.shown.cache = ImageCache(len, limit=1)  # nothing kept: every frame is decoded
         assert number_in(video.jpeg(n)) == n
-    written = times or list(range(37, 37 + FRAMES))
-    for n in (0, 1, 30, FRAMES - 1):
+    written = times or list(range(37, 37 + NUMBERED_FRAMES))
+    for n in (0, 1, 30, NUMBERED_FRAMES - 1):
         assert video.time(n) == pytest.approx((written[n] - written[0]) / 30, abs=2e-3)
     video.close()
 
@@ -115,16 +119,16 @@ def test_whole_images_are_those_that_are_shown(tmp_path: Path) -> None:
 
 def test_seconds_count_the_last_frame(tmp_path: Path) -> None:
     video = VideoFootage(write_video(tmp_path / "a.mp4"))
-    assert duration_seconds(video, 0, FRAMES - 1) == pytest.approx(FRAMES / 30, abs=1e-3)
+    assert duration_seconds(video, 0, NUMBERED_FRAMES - 1) == pytest.approx(NUMBERED_FRAMES / 30, abs=1e-3)
     assert duration_seconds(video, 5, 5) == pytest.approx(1 / 30, abs=1e-3)
 
 
 @pytest.mark.parametrize(("name", "fps"), [("P01_01", 60), ("P01_101", 50), ("own", 30)])
 def test_numbers_come_back_to_their_frames(tmp_path: Path, name: str, fps: int) -> None:
     video = VideoFootage(write_video(tmp_path / f"{name}.mp4", fps=fps))
-    assert [video.number(n) for n in range(FRAMES)] == list(range(1, FRAMES + 1))
-    assert [video.index(video.number(n)) for n in range(FRAMES)] == list(range(FRAMES))
-    assert video.index(10**6) == FRAMES - 1
+    assert [video.number(n) for n in range(NUMBERED_FRAMES)] == list(range(1, NUMBERED_FRAMES + 1))
+    assert [video.index(video.number(n)) for n in range(NUMBERED_FRAMES)] == list(range(NUMBERED_FRAMES))
+    assert video.index(10**6) == NUMBERED_FRAMES - 1
 
 
 def test_numbers_are_those_of_the_reader_of_epic(tmp_path: Path) -> None:
@@ -135,7 +139,7 @@ def test_numbers_are_those_of_the_reader_of_epic(tmp_path: Path) -> None:
     for number, image in zip(chosen, EpicVideo(tmp_path, "P01_01")(chosen), strict=True):
         _, jpeg = cv2.imencode(".png", image[..., ::-1])
         assert number_in(jpeg.tobytes()) == video.index(number)
-    assert [video.index(video.number(n)) for n in range(FRAMES)] == list(range(FRAMES))
+    assert [video.index(video.number(n)) for n in range(NUMBERED_FRAMES)] == list(range(NUMBERED_FRAMES))
 
 
 def test_a_folder_counts_by_the_numbers_in_its_names(tmp_path: Path) -> None:

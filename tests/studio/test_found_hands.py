@@ -12,7 +12,7 @@ from getagrip.io.images import write_image
 from getagrip.studio.hands.detect_hands import DETECTED_HANDS_FOLDER, HandDetectionFiles
 from getagrip.studio.store.history import RefusedError
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
-from helpers.clicking import FIRST, LAST, Clicking, disc
+from helpers.annotation import FIRST, LAST, Clicking, disc
 from helpers.labelled_scene import HEIGHT, WIDTH, joints
 
 

@@ -20,8 +20,8 @@ from getagrip.studio.store.export_clip import clip_arguments
 from getagrip.studio.store.history import RefusedError
 from getagrip.studio.store.mark_store import MARKS_APPLICATION_ID, MarkStore
 from getagrip.studio.store.tasks import Task
-from helpers.command_line import Run
-from helpers.numbered_footage import write_video
+from helpers.environment import Run
+from helpers.labelled_scene import write_video
 
 LYING, TOUCHED, HELD = ("static", 0, 19, "left"), ("contact", 20, 24, "left"), ("grasp", 25, 60, "left")
 

@@ -18,7 +18,7 @@ from getagrip.studio.store.history import RefusedError
 from getagrip.studio.store.labels import MAX_LABEL_POLYGON_CORNERS
 from getagrip.studio.store.mark_store import MARKS_APPLICATION_ID, MarkStore
 from getagrip.studio.store.tasks import Task
-from helpers.clicking import FIRST, LAST, TAB, VIDEO, Clicking, disc, new
+from helpers.annotation import FIRST, LAST, TAB, VIDEO, Clicking, disc, new
 from helpers.labelled_scene import FRAMES, HEIGHT, WIDTH, circle
 
 

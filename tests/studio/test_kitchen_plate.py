@@ -19,8 +19,7 @@ from getagrip.studio.store import labels
 from getagrip.studio.store.export_clip import write_labelled_clip_files
 from getagrip.studio.store.labels import OBJECT_LABEL
 from getagrip.synthetic.objects import plate
-from helpers.command_line import Run
-from helpers.paths import DATA, ROOT, needs
+from helpers.environment import DATA, ROOT, Run, needs
 
 LABELS = ROOT / "tests" / "helpers" / "kitchen_plate_labels.json"
 VIDEO = DATA / "egocentric" / "kitchen_plate.mp4"

@@ -12,8 +12,7 @@ import pytest
 from getagrip.studio import jobs
 from getagrip.studio.server import MAX_BODY_BYTES, StudioServer
 from getagrip.studio.store import labels
-from helpers.annotation_page import ask
-from helpers.clicking import FIRST, LAST, TAB, VIDEO, Clicking, new
+from helpers.annotation import FIRST, LAST, TAB, VIDEO, Clicking, ask, new
 
 
 @pytest.fixture

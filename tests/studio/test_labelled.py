@@ -27,7 +27,7 @@ from getagrip.studio.store.labels import OBJECT_LABEL, OCCLUDER_LABEL, FrameLabe
 from getagrip.studio.store.marks import Grasp, Mark
 from getagrip.studio.store.tasks import Task
 from helpers.clips import box
-from helpers.command_line import Run
+from helpers.environment import Run
 from helpers.folders import contents
 
 SIZE = (320, 240)

@@ -15,7 +15,7 @@ from getagrip.studio.store.export_clip import footage_checksum, tasks_of_labels
 from getagrip.studio.store.history import RefusedError
 from getagrip.studio.store.labels import FrameLabels, Labels
 from getagrip.studio.store.tasks import Task
-from helpers.command_line import Run
+from helpers.environment import Run
 
 GIVEN = Labels("cup.mp4", (64, 48), "left", 30.0, 0, 2, {1: FrameLabels(object=())})
 

@@ -18,7 +18,7 @@ from getagrip.studio.store.history import RefusedError
 from getagrip.studio.store.mark_store import MarkStore
 from getagrip.studio.store.marks import DISCARD_REASONS
 from getagrip.studio.store.tasks import Task
-from helpers.marking import VIDEO, change, grasp, new, undo
+from helpers.annotation import MARKED_VIDEO, change, grasp, new, undo
 
 
 def test_marks_are_there_when_the_file_is_opened_again(project: Project) -> None:
@@ -28,7 +28,7 @@ def test_marks_are_there_when_the_file_is_opened_again(project: Project) -> None
     assert again.store.marks.standing() == project.store.marks.standing()
     assert [task["state"] for task in again.overview("ann")["tasks"]] == ["marked", "discarded"]
     assert [task["state"] for task in again.overview("bob")["tasks"]] == ["", ""]
-    (mark,) = again.marks(VIDEO, "ann")["marks"]
+    (mark,) = again.marks(MARKED_VIDEO, "ann")["marks"]
     assert (mark["start"], mark["end"], mark["start_number"], mark["end_number"]) == (10, 40, 11, 41)
     assert mark["seconds"] == pytest.approx(31 / 50, abs=1e-3)
     again.close()
@@ -39,7 +39,7 @@ def test_two_tabs_that_change_one_mark_lose_nothing(project: Project) -> None:
     project.change(change(mark, {"end": 50}, tab="tab-one-"))
     project.change(change(mark, {"category": "cup"}, tab="tab-two-"))
     project.change(change(mark, {"start": 12}, tab="tab-one-"))
-    (state,) = project.store.marks.standing(VIDEO)
+    (state,) = project.store.marks.standing(MARKED_VIDEO)
     assert (state.start, state.end, state.category) == (12, 50, "cup")
     assert [one.end for one in project.store.marks.history(mark)] == [None, 40, 50, 50, 50]
 
@@ -49,7 +49,7 @@ def test_changes_at_once_are_all_kept(project: Project) -> None:
     marks = [new() for _ in range(40)]
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda mark: project.change(change(mark, {"start": 3})), marks))
-    assert {mark.mark for mark in project.store.marks.standing(VIDEO)} == {*marks}
+    assert {mark.mark for mark in project.store.marks.standing(MARKED_VIDEO)} == {*marks}
 
 
 def test_two_processes_may_share_a_file(project: Project) -> None:
@@ -75,7 +75,9 @@ def test_a_change_that_is_sent_twice_is_made_once(project: Project) -> None:
 def test_undo_goes_back_through_every_state(
     tmp_path_factory: Any, video: Path, steps: list[tuple[int, str, int]]
 ) -> None:
-    made = Project([Task(VIDEO, VIDEO, video)], MarkStore(tmp_path_factory.mktemp("undo") / MARKS_DATABASE))
+    made = Project(
+        [Task(MARKED_VIDEO, MARKED_VIDEO, video)], MarkStore(tmp_path_factory.mktemp("undo") / MARKS_DATABASE)
+    )
     marks, states = [new() for _ in range(3)], [made.store.marks.standing()]
     for which, field, value in steps:
         input_value = {"side": "left" if value % 2 else "right", "deleted": bool(value % 2)}.get(field, value)
@@ -115,7 +117,7 @@ def test_a_tab_undoes_its_own_changes_only(project: Project) -> None:
 def test_impossible_changes_are_refused_and_change_nothing(project: Project, sets: dict[str, Any]) -> None:
     with pytest.raises(RefusedError):
         project.change(change(new(), sets))
-    assert project.store.marks.newest(VIDEO, "ann") == 0
+    assert project.store.marks.newest(MARKED_VIDEO, "ann") == 0
 
 
 @pytest.mark.parametrize("key", ["change", "mark", "tab", "annotator", "task"])
@@ -129,7 +131,7 @@ def test_marks_of_others_are_out_of_reach(project: Project) -> None:
     mark = grasp(project, 1, 5, "ann")
     with pytest.raises(RefusedError, match="belongs"):
         project.change(change(mark, {"start": 2}, "bob"))
-    assert project.marks(VIDEO, "bob")["marks"] == []
+    assert project.marks(MARKED_VIDEO, "bob")["marks"] == []
 
 
 def test_other_files_are_no_databases_of_marks(tmp_path: Path, refused: Callable[..., str]) -> None:

@@ -13,7 +13,7 @@ from getagrip.result.findings import Finding
 from getagrip.studio.jobs import RequestedMesh
 from getagrip.studio.next_step import next_step
 from helpers.clips import small_clip
-from helpers.true_result import true_result
+from helpers.results import true_result
 
 
 def test_the_next_step_is_a_frame_an_interval_a_mesh_and_a_command(tmp_path: Path) -> None:

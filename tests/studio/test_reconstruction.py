@@ -26,7 +26,7 @@ from getagrip.studio.jobs import (
 )
 from getagrip.studio.store.history import RefusedError
 from helpers.clips import small_clip
-from helpers.true_result import true_result
+from helpers.results import true_result
 
 
 def test_what_the_page_says_of_the_mesh() -> None:

@@ -17,10 +17,9 @@ from getagrip.studio.project import Project
 from getagrip.studio.server import MAX_BODY_BYTES, StudioServer, persistent_token, serve_on_free_port
 from getagrip.studio.store.mark_store import MarkStore
 from getagrip.studio.store.tasks import Task
-from helpers.annotation_page import ask
-from helpers.command_line import Run
-from helpers.marking import VIDEO, change, new
-from helpers.numbered_footage import FRAMES, number_in, write_images
+from helpers.annotation import MARKED_VIDEO, ask, change, new
+from helpers.environment import Run
+from helpers.labelled_scene import NUMBERED_FRAMES, number_in, write_images
 
 
 @pytest.fixture
@@ -34,8 +33,8 @@ def server(project: Project) -> Iterator[StudioServer]:
 
 
 def test_frames_and_marks_over_http(server: StudioServer) -> None:
-    for n in (0, 33, FRAMES - 1, 12):
-        status, head, image = ask(server, f"/frame?task={VIDEO}&n={n}")
+    for n in (0, 33, NUMBERED_FRAMES - 1, 12):
+        status, head, image = ask(server, f"/frame?task={MARKED_VIDEO}&n={n}")
         assert (status, head["X-Number"], number_in(image)) == (200, str(n + 1), n)
     status, _, answer = ask(server, "/api/change", change(new(), {"start": 4}))
     assert (status, json.loads(answer)["marks"][0]["start"]) == (200, 4)
@@ -59,7 +58,7 @@ def test_the_page_is_for_this_machine_only(server: StudioServer) -> None:
     ]  # fmt: skip
     for head in foreign:
         assert ask(server, "/api/change", sent, head)[0] == 403
-        assert ask(server, f"/frame?task={VIDEO}&n=0", head=head)[0] == 403
+        assert ask(server, f"/frame?task={MARKED_VIDEO}&n=0", head=head)[0] == 403
     assert server.project.store.marks.standing() == []
     assert ask(server, "/api/change", sent, {"Origin": f"http://{own}"})[0] == 200
     assert ask(server, "/", head={"Host": f"localhost:{server.server_port}"})[0] == 200
@@ -116,8 +115,8 @@ def test_another_port_is_taken_where_the_usual_one_is_not_free(project: Project,
 @pytest.mark.parametrize(
     ("path", "content", "expected"),
     [
-        ("/frame?task=nothing&n=0", None, 409), (f"/frame?task={VIDEO}&n=70", None, 409),
-        (f"/frame?task={VIDEO}&n=-1", None, 400), (f"/frame?task={VIDEO}", None, 400), ("/frame", None, 400),
+        ("/frame?task=nothing&n=0", None, 409), (f"/frame?task={MARKED_VIDEO}&n=70", None, 409),
+        (f"/frame?task={MARKED_VIDEO}&n=-1", None, 400), (f"/frame?task={MARKED_VIDEO}", None, 400), ("/frame", None, 400),
         ("/../cli.py", None, 404), ("/page.js/../store.py", None, 404), ("/api/marks", None, 409),
         ("/api/tasks?annotator=..%2Fx", None, 409), ("/grasps.csv?annotator=", None, 409),
         ("/api/change", b"{", 400), ("/api/change", b"[]", 400), ("/api/change", b"[" * 60_000, 400),

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip.studio.masks.polygon_drafts import trace_polygons
-from helpers.clicking import filled, iou
+from helpers.annotation import filled, iou
 from helpers.labelled_scene import HEIGHT, WIDTH
 
 shapes = st.lists(

@@ -27,7 +27,7 @@ from getagrip.synthetic.in_hand_motion import (
 )
 from getagrip.synthetic.objects import bottle, draw_deformation, misfit
 from getagrip.synthetic.scene import make_scene, synthesise
-from helpers.error_measures import correlation_time
+from helpers.measures import correlation_time
 
 SMALL = replace(SYNTHETIC_PRESETS["measured"], frames=12, size=(160, 120), focal=150.0)
 SIZE = 0.04

@@ -27,7 +27,7 @@ from getagrip.synthetic.noise import (
 )
 from getagrip.synthetic.scene import synthesise
 from getagrip.synthetic.scene_options import SceneOptions
-from helpers.error_measures import ERROR_MEASURES, ErrorCurves, measure
+from helpers.measures import ERROR_MEASURES, ErrorCurves, measure
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from getagrip.fitting.pipeline import repair_input
 from getagrip.geometry import se3
 from getagrip.timelines.observations import Hypotheses, TimelineInputs
 from getagrip.timelines.tracking import N_PATHS, _select_distinct_paths, track_hypotheses
-from helpers.timelines import timeline
+from helpers.scenes import timeline
 
 
 def test_the_cheapest_distinct_paths_of_each_start_are_kept() -> None:

@@ -19,7 +19,7 @@ from getagrip.timelines.observations import GraspClip, Hypotheses, TimelineInput
 from getagrip.timelines.tracking import _pose_embedding, hand_motions
 from getagrip.timelines.transitions import TimelineMotion, _blend_motions, split_at_gaps
 from helpers.clips import box
-from helpers.timelines import by_other_hand, timeline
+from helpers.scenes import by_other_hand, timeline
 
 VERTICES = box(0.1, 0.06, 0.04).vertices + np.array([0.01, -0.02, 0.03])
 K, N = 3, 5

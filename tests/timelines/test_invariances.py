@@ -19,8 +19,7 @@ from getagrip.result import Reconstruction
 from getagrip.timelines.observations import GraspClip, Hypotheses, TimelineInputs
 from getagrip.timelines.segments import fit_in_all_frames, solve_grasp
 from getagrip.timelines.tracking import track_hypotheses
-from helpers.scenes import SMALL
-from helpers.timelines import timeline
+from helpers.scenes import SMALL, timeline
 
 FEW = Options(inits=20)
 

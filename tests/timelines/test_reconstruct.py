@@ -19,7 +19,7 @@ from getagrip.reconstruct import reconstruct
 from getagrip.report.pages.result_page import _describe_segments
 from getagrip.result import Reconstruction, read_result, write_result
 from getagrip.result.result import describe_grasp_probabilities
-from helpers.timelines import LIES, by_other_hand, timeline
+from helpers.scenes import LIES, by_other_hand, timeline
 
 FEW = Options(inits=20)
 

@@ -12,7 +12,7 @@ from getagrip.fitting.pipeline import repair_input
 from getagrip.geometry import se3
 from getagrip.timelines.observations import TimelineInputs
 from getagrip.timelines.transitions import TimelineMotion, correct_depth, depth_jitter
-from helpers.timelines import timeline
+from helpers.scenes import timeline
 
 
 def test_depth_is_mended_and_contact_stays() -> None:

@@ -12,7 +12,15 @@ from getagrip.fitting.energy.homan_terms import SmoothnessTerm, TermInFrame, ver
 from getagrip.geometry import se3
 from getagrip.timelines.segments import ExpectedPoses, LinkTerm, SupportTerm, hull_vertices, plane_in_camera
 from helpers.clips import box
-from helpers.terms import N, differences, hypotheses_are_independent, is_trustworthy, moved, random_poses, total_hessian
+from helpers.terms import (
+    N,
+    differences,
+    hypotheses_are_independent,
+    is_trustworthy,
+    moved,
+    random_poses,
+    total_hessian,
+)
 
 VERTICES = box(0.1, 0.06, 0.04).vertices
 

@@ -18,7 +18,7 @@ from getagrip.bench.sources.synthetic_clips import SyntheticSource
 from getagrip.clip import write_clip
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.stable_grasps import grasp_lists
-from helpers.library import Library, Shelf
+from helpers.environment import Library, Shelf
 from helpers.scenes import SHORT, scene
 
 

@@ -13,10 +13,10 @@ from getagrip.cli.reproduce import arctic_grasps, epic_grasps
 from getagrip.cli.reproduce.paper_tables import ALL_ROW_LABEL, PaperTable, bench_values, published, write_paper_tables
 from getagrip.errors import InputError
 from getagrip.io.files import read_json, write_json
-from helpers.arctic_files import write_arctic
-from helpers.command_line import Run
+from helpers.environment import Run
+from helpers.epic_files import CATEGORIES, clip_name, write_demos, write_epic_paper
 from helpers.held_ball import write_mano
-from helpers.paper_files import CATEGORIES, clip_name, write_demos, write_epic_paper
+from helpers.motion_capture_files import write_arctic
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 

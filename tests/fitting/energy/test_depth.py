@@ -23,8 +23,7 @@ from getagrip.fitting.energy.depth_term import (
 )
 from getagrip.geometry import se3
 from getagrip.geometry.kernels.depth import WARP_STUDENT_DOF
-from helpers.depth_terms import FREE, METRIC, MIDDLE, N, poses, seen, term
-from helpers.terms import is_trustworthy
+from helpers.terms import FREE, METRIC, MIDDLE, N_DEPTH_POSES, is_trustworthy, poses, seen, term
 
 ONE = np.ones(1)
 STEP = 1e-6
@@ -37,7 +36,10 @@ def scene(seed: int, noise: float = 0.004) -> tuple[DepthSamples, PosesInCamera,
     hand = R @ se3.exp_so3(np.array([0.1, 0.2, 0.0])), centre + np.array([0.05, 0.03, -0.02])
     samples, log_z = seen(((R, centre), hand))
     samples = replace(samples, log_z=log_z + 0.05 + rng.normal(0.0, noise, log_z.shape))
-    turn, shift = se3.exp_so3(rng.normal(0.0, 0.02, (2, 1, N, 3))), rng.normal(0.0, 0.003, (2, 1, N, 3))
+    turn, shift = (
+        se3.exp_so3(rng.normal(0.0, 0.02, (2, 1, N_DEPTH_POSES, 3))),
+        rng.normal(0.0, 0.003, (2, 1, N_DEPTH_POSES, 3)),
+    )
     of_object = PosesInCamera(turn[0] @ R, centre + shift[0], 1.02 * ONE)
     return samples, of_object, PosesInCamera(turn[1] @ hand[0], hand[1] + shift[1], 0.98 * ONE)
 
@@ -66,11 +68,11 @@ def test_gradient_is_that_of_differences(monkeypatch: pytest.MonkeyPatch, errors
         return with_hand(there, turned(hand, step[:, 7:])) if moves else there
 
     P = 14 if moves else 7
-    found = one(at(np.zeros((N, 14))), np.array([np.inf]))
-    numeric = np.zeros((N, P))
-    for n in range(N):
+    found = one(at(np.zeros((N_DEPTH_POSES, 14))), np.array([np.inf]))
+    numeric = np.zeros((N_DEPTH_POSES, P))
+    for n in range(N_DEPTH_POSES):
         for k in range(P):
-            step = np.zeros((N, 14))
+            step = np.zeros((N_DEPTH_POSES, 14))
             step[n, k] = STEP
             ahead, behind = (one(at(sign * step), np.array([np.inf])).value.sum() for sign in (1.0, -1.0))
             numeric[n, k] = (ahead - behind) / (2.0 * STEP)
@@ -89,9 +91,9 @@ def test_curvature_can_be_trusted(moves: bool) -> None:
     P = found.g.shape[-1]
     assert found.cross is not None
     whole = found.cross[0].copy()
-    for n in range(N):
+    for n in range(N_DEPTH_POSES):
         whole[n, :, n] += found.H[0, n]
-    whole = whole.reshape(N * P, N * P)
+    whole = whole.reshape(N_DEPTH_POSES * P, N_DEPTH_POSES * P)
     np.testing.assert_allclose(whole, whole.T)
     assert np.linalg.eigvalsh(whole).min() > -1e-6 * np.abs(whole).max()
 
@@ -106,18 +108,18 @@ def test_curvature_is_that_of_differences_where_depth_fits(errors: DepthErrors, 
     P, rng, h = 14 if moves else 7, np.random.default_rng(0), 1e-5
 
     def at(step: ndarray) -> PosesInCamera:
-        once = np.where(np.arange(14) % 7 == 6, step / N, step)  # ``turned`` adds the frames' sizes up
+        once = np.where(np.arange(14) % 7 == 6, step / N_DEPTH_POSES, step)  # ``turned`` adds the frames' sizes up
         there = turned(of_object, once[:, :7])
         return with_hand(there, turned(hand, once[:, 7:])) if moves else there
 
-    found = one(at(np.zeros((N, 14))), np.array([np.inf]))
+    found = one(at(np.zeros((N_DEPTH_POSES, 14))), np.array([np.inf]))
     assert found.cross is not None
     H = found.cross[0].copy()
-    for n in range(N):
+    for n in range(N_DEPTH_POSES):
         H[n, :, n] += found.H[0, n]
     for _ in range(5):
-        step = np.zeros((N, 14))
-        step[:, :P] = rng.normal(size=(N, P)) * np.tile([0.1, 0.1, 0.1, 1.0, 1.0, 1.0, 1.0], 2)[:P]
+        step = np.zeros((N_DEPTH_POSES, 14))
+        step[:, :P] = rng.normal(size=(N_DEPTH_POSES, P)) * np.tile([0.1, 0.1, 0.1, 1.0, 1.0, 1.0, 1.0], 2)[:P]
         step[:, [6, 13]] = step[0, [6, 13]]
         ahead, here, behind = (one(at(k * h * step), np.array([np.inf])).value.sum() for k in (1.0, 0.0, -1.0))
         expected = np.einsum("np,npoq,oq->", step[:, :P], H, step[:, :P])
@@ -134,7 +136,7 @@ def test_a_ray_that_misses_costs_as_much_as_its_sample_counts(moves: bool) -> No
     on_object = np.arange(samples.weight.shape[1]) < samples.on_object[:, None]
     count = samples.weight.sum(where=True if moves else on_object)
     missed = DEPTH_TAIL_SIGMAS**2 * np.log1p((RAY_MISS_ERROR / (DEPTH_TAIL_SIGMAS * METRIC.noise)) ** 2)
-    assert N * term(samples, METRIC).squared_deviations(poses)[0] == pytest.approx(missed * count)
+    assert N_DEPTH_POSES * term(samples, METRIC).squared_deviations(poses)[0] == pytest.approx(missed * count)
 
 
 @pytest.mark.parametrize("moves", [False, True], ids=["object", "both"])
@@ -171,7 +173,7 @@ def test_an_object_nearer_than_a_sensor_shows_it_costs_more_than_errors_that_las
     of_object, _ = true_poses(5)
     farther = replace(samples, log_z=samples.log_z - 0.05 + 0.03)
     off = term(farther, depth_errors_of(DepthSource("metric", "sensor"))).squared_deviations(of_object)[0]
-    assert N * off > 30 * N_INDEPENDENT_SAMPLES
+    assert N_DEPTH_POSES * off > 30 * N_INDEPENDENT_SAMPLES
 
 
 def test_holes_say_nothing_and_other_samples_are_rejected_or_independent() -> None:
@@ -189,7 +191,7 @@ def test_holes_say_nothing_and_other_samples_are_rejected_or_independent() -> No
 
 def test_two_hypotheses_are_as_each_alone() -> None:
     samples, of_object, _ = scene(5)
-    other = turned(of_object, np.full((N, 7), 0.003))
+    other = turned(of_object, np.full((N_DEPTH_POSES, 7), 0.003))
     one = term(samples, METRIC)
     both = PosesInCamera(
         *(np.concatenate([a, b]) for a, b in zip(vars(of_object).values(), vars(other).values(), strict=True))
@@ -236,7 +238,7 @@ def test_a_warp_costs_no_more_than_its_prior(by: float) -> None:
     there = with_hand(of_object, hand)
     one, other = term(samples, METRIC), term(warped(samples, by), METRIC)
     prior = WARP_STUDENT_DOF * np.log1p(2.0 * (by / 2.0 / METRIC.warp) ** 2 / WARP_STUDENT_DOF)
-    assert N * (other.squared_deviations(there) - one.squared_deviations(there))[0] < 1.2 * prior
+    assert N_DEPTH_POSES * (other.squared_deviations(there) - one.squared_deviations(there))[0] < 1.2 * prior
 
 
 def test_warped_depth_hardly_turns_the_hand_and_is_said() -> None:
@@ -248,7 +250,7 @@ def test_warped_depth_hardly_turns_the_hand_and_is_said() -> None:
         one = term(samples, errors)
 
         def there(w: ndarray) -> ObjectWithHand:
-            step = np.zeros((N, 7))
+            step = np.zeros((N_DEPTH_POSES, 7))
             step[:, 3:6] = w
             return with_hand(of_object, turned(hand, step))
 

@@ -15,10 +15,18 @@ from getagrip.fitting.energy import PosesInCamera, no_bound
 from getagrip.fitting.energy.mask import MASK_CROP_SIZE_PX, MASK_LEVELS_PX, MaskTerm, Observation
 from getagrip.geometry.kernels.silhouette import pack, unpack
 from getagrip.geometry.mesh import Mesh
-from helpers import reference_kernels as reference
+from helpers import kernels as reference
 from helpers.clips import box
-from helpers.drawn_masks import scene, smooth_energy
-from helpers.terms import MESHES, differences, hypotheses_are_independent, is_trustworthy, moved, random_poses
+from helpers.terms import (
+    MESHES,
+    differences,
+    hypotheses_are_independent,
+    is_trustworthy,
+    moved,
+    random_poses,
+    scene,
+    smooth_energy,
+)
 
 
 @pytest.mark.parametrize("which", sorted(MESHES))

@@ -12,9 +12,8 @@ from getagrip.fitting.energy.mask import MaskTerm
 from getagrip.fitting.energy.mesh_mask import MaskByShape
 from getagrip.geometry.mesh import Mesh, subdivide_surface
 from getagrip.geometry.warp import Warp
-from helpers.drawn_masks import scene, smooth_energy
-from helpers.parts import callable_part
-from helpers.terms import MESHES, moved
+from helpers.kernels import callable_part
+from helpers.terms import MESHES, moved, scene, smooth_energy
 
 RADIUS = 0.05
 unwarped = callable_part(mesh_mask._unwarp_monomials)

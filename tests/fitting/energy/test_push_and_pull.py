@@ -14,7 +14,7 @@ from getagrip.fitting.energy import PosesInCamera, no_bound
 from getagrip.fitting.energy.contact import HandContacts, PullTerm, PushTerm, build_contact_grid
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from helpers import reference_kernels as reference
+from helpers import kernels as reference
 from helpers.terms import MESHES, differences, hypotheses_are_independent, is_trustworthy, random_poses
 
 

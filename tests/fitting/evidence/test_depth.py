@@ -20,7 +20,7 @@ from getagrip.fitting.problem import Problem, prepare_problem
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import read_mesh
 from getagrip.geometry.rasterize import depth_and_face
-from helpers.paths import DATA, needs
+from helpers.environment import DATA, needs
 from helpers.scenes import SHORT, scene
 
 

@@ -12,8 +12,8 @@ from getagrip.geometry.kernels import closest
 from getagrip.geometry.kernels.closest import GRID_SLACK_SPACINGS, FaceGrid
 from getagrip.geometry.mesh import Mesh
 from getagrip.synthetic import objects
-from helpers import reference_kernels as reference
-from helpers.parts import callable_part
+from helpers import kernels as reference
+from helpers.kernels import callable_part
 from helpers.posed_meshes import MESHES, SEEDS, pose
 
 screen, signed_distance = callable_part(closest.screen), callable_part(closest.signed_distance)

@@ -12,8 +12,8 @@ from numpy import ndarray
 
 from getagrip.geometry.kernels import silhouette
 from getagrip.geometry.kernels.silhouette import pack, unpack
-from helpers import reference_kernels as reference
-from helpers.parts import callable_part
+from helpers import kernels as reference
+from helpers.kernels import callable_part
 from helpers.posed_meshes import MESHES, SEEDS, SIZE, WHICH, blobs, outlined
 
 sample_contour, sample_field, match_boundary, accumulate = (

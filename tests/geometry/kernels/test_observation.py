@@ -8,7 +8,7 @@ from hypothesis import given
 
 from getagrip.fitting.energy import mask
 from getagrip.fitting.energy.mask import _spread_boundary_targets
-from helpers import reference_kernels as reference
+from helpers import kernels as reference
 from helpers.posed_meshes import SEEDS, blobs
 
 

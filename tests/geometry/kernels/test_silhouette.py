@@ -11,9 +11,9 @@ from numpy import ndarray
 
 from getagrip.geometry.kernels import silhouette
 from getagrip.geometry.kernels.silhouette import MIN_SILHOUETTE_DEPTH_M, pack, silhouettes, unpack
-from helpers import reference_kernels as reference
+from helpers import kernels as reference
 from helpers.clips import box
-from helpers.parts import callable_part
+from helpers.kernels import callable_part
 from helpers.posed_meshes import MESHES, SEEDS, SIZE, WHICH, outlined, pose, project, soup, tables
 
 mismatch = callable_part(silhouette.mismatch)

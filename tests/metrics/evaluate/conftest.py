@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from getagrip.clip import Clip, Masks
-from helpers.egg_and_mug import egg_and_mug
+from helpers.scenes import egg_and_mug
 
 
 @pytest.fixture(scope="session")

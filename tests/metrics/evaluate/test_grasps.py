@@ -10,8 +10,7 @@ from getagrip.metrics.contact import ContactDefinition
 from getagrip.metrics.evaluate import evaluate
 from getagrip.metrics.evaluate.metric import SCA
 from getagrip.result import SegmentResult
-from helpers.egg_and_mug import perfect
-from helpers.timelines import by_other_hand, timeline
+from helpers.scenes import by_other_hand, perfect, timeline
 
 ANY = SegmentResult(state="grasp", first="0", last="1")
 CONTACT = ContactDefinition("object", 0.010)

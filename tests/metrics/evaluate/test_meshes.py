@@ -20,8 +20,8 @@ from getagrip.metrics.contact import mesh_distances, pairwise_iou, stable_contac
 from getagrip.metrics.evaluate import evaluate, evaluate_meshes
 from getagrip.metrics.evaluate.external import MeshFrame, read_meshes
 from getagrip.result import write_result
-from helpers.command_line import Run
-from helpers.egg_and_mug import perfect, same, written
+from helpers.environment import Run
+from helpers.scenes import perfect, same, written
 
 NAME = "egg-and-mug"
 

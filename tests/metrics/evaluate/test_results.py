@@ -23,7 +23,7 @@ from getagrip.metrics.evaluate.metric import ADD_MM, IOU, METRICS
 from getagrip.report.pictures.result_view import View
 from getagrip.result import write_result
 from getagrip.synthetic import objects
-from helpers.egg_and_mug import FRAMES, perfect, same, written
+from helpers.scenes import FRAMES, perfect, same, written
 
 CAM = {"add_success": "add_cam_success", "add_sym_mm": "add_sym_cam_mm", "add_sym_success": "add_sym_cam_success"}
 """Metrics of the object in the hand, and the same in the camera."""

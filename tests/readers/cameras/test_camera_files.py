@@ -17,9 +17,9 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.io import arrays
 from getagrip.readers.cameras import CameraPath, read_camera_path
-from helpers.camera_files import FX, WRITERS, kitti, known, tum
 from helpers.clips import small_clip
-from helpers.command_line import Run
+from helpers.environment import Run
+from helpers.program_files import FX, WRITERS, kitti, known, tum
 
 
 @pytest.mark.parametrize("source", WRITERS)

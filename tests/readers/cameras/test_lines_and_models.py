@@ -12,9 +12,9 @@ from getagrip.clip import write_clip
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.readers.cameras import read_camera_path
-from helpers.camera_files import known, xyzw
 from helpers.clips import small_clip
-from helpers.command_line import Run
+from helpers.environment import Run
+from helpers.program_files import known, xyzw
 
 FRAMES, TIMES = [f"{n:06d}" for n in range(1, 4)], np.arange(3) / 30.0
 COUNT = 40

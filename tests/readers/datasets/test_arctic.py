@@ -23,18 +23,9 @@ from getagrip.readers.datasets import arctic, cutting, tracks
 from getagrip.readers.datasets.arctic import Arctic
 from getagrip.stable_grasps.definition import Definition, GraspOptions
 from getagrip.stable_grasps.find import CutRules, segment
-from helpers.arctic_files import K_EGO, OFFSET, OPENED, scene, write_arctic
-from helpers.command_line import Run
-from helpers.held_ball import (
-    FRAMES,
-    TAKEN,
-    Hostile,
-    ball,
-    posed,
-    same_points,
-    save_pickled,
-)  # fmt: skip
-from helpers.paths import folder_of
+from helpers.environment import Run, folder_of
+from helpers.held_ball import FRAMES, TAKEN, Hostile, ball, posed, same_points, save_pickled  # fmt: skip
+from helpers.motion_capture_files import K_EGO, OFFSET, OPENED, scene, write_arctic
 
 CUT = CutRules(Definition(tau=0.5, contact=0.0, shortest=20))
 

@@ -23,7 +23,7 @@ from getagrip.readers.datasets.tracks import SequenceSource, Track
 from getagrip.stable_grasps import grasp_lists
 from getagrip.stable_grasps.definition import Definition, GraspOptions
 from getagrip.stable_grasps.find import CutRules, segment
-from helpers.command_line import Run
+from helpers.environment import Run
 
 FRAMES, FIRST, LAST = 101, 30, 70
 ORIGIN = 7

@@ -18,8 +18,8 @@ from getagrip.hands import generic
 from getagrip.hands.mano import load
 from getagrip.readers.datasets import cutting, tracks
 from getagrip.readers.datasets.ho3d import GRASPS_WITHIN_10_MM, Ho3d
+from helpers.hand_object_files import HELD, LOST, save, write_ho3d
 from helpers.held_ball import AT, BETAS, FRAMES, TAKEN, Hostile, bent, motion
-from helpers.ho3d_files import HELD, LOST, save, write_ho3d
 
 
 @pytest.fixture

@@ -17,9 +17,9 @@ from getagrip.bench.tables import ALL_PARTS_LABEL, read_published_results
 from getagrip.clip import read_clip, read_masks
 from getagrip.metrics.evaluate.metric import METRICS
 from getagrip.readers.depth_files import HO3D_DEPTH_UNIT_M
-from helpers.command_line import Run
+from helpers.environment import Run
+from helpers.hand_object_files import HELD, LOST, write_ho3d
 from helpers.held_ball import FRAMES
-from helpers.ho3d_files import HELD, LOST, write_ho3d
 
 CLIP = f"SM--SM1--{HELD}--right"
 

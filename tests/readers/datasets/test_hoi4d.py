@@ -16,18 +16,9 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.readers.datasets import cutting, tracks
 from getagrip.readers.datasets.hoi4d import HOI4D_GRASP_OPTIONS, Hoi4d
-from helpers.command_line import Run
-from helpers.held_ball import (
-    FRAMES,
-    TAKEN,
-    Hostile,
-    ball,
-    bent,
-    motion,
-    posed,
-    same_points,
-)
-from helpers.hoi4d_files import INDEX, NAME, write_hoi4d, write_labels
+from helpers.environment import Run
+from helpers.hand_object_files import INDEX, NAME, write_hoi4d, write_labels
+from helpers.held_ball import FRAMES, TAKEN, Hostile, ball, bent, motion, posed, same_points
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from getagrip.readers.datasets.hot3d.hot3d_clips import HOT3D_GRASP_OPTIONS, Hot
 from getagrip.stable_grasps import grasp_lists
 from getagrip.stable_grasps.definition import Definition
 from getagrip.stable_grasps.find import segment
-from helpers.hot3d_files import FRAMES, HOLD, NAME, STEP, write_hot3d
+from helpers.hand_object_files import HOLD, HOT3D_FRAMES, HOT3D_NAME, STEP, write_hot3d
 
 
 @pytest.fixture
@@ -66,9 +66,9 @@ def test_a_hold_becomes_a_clip(root):
 
 @pytest.mark.slow
 def test_files_may_lie_apart(root):
-    apart = root / "hands" / NAME
+    apart = root / "hands" / HOT3D_NAME
     apart.mkdir(parents=True)
-    for path in root.glob(f"sequences/{NAME}/umetrack*"):
+    for path in root.glob(f"sequences/{HOT3D_NAME}/umetrack*"):
         path.rename(apart / path.name)
     ((clip, _),) = read(root)
     assert len(clip) == 12
@@ -76,7 +76,7 @@ def test_files_may_lie_apart(root):
 
 @pytest.mark.slow
 def test_short_touches_are_no_holds(root):
-    path = root / "sequences" / NAME / "umetrack_hand_pose_trajectory.jsonl"
+    path = root / "sequences" / HOT3D_NAME / "umetrack_hand_pose_trajectory.jsonl"
     path.write_text("\n".join(path.read_text().splitlines()[:10]))  # contact in 8 frames; no hand after them
     assert list(read(root)) == []
 
@@ -112,14 +112,14 @@ def test_the_other_recordings_are_read_before_an_error_is_raised(root):
     ],
 )
 def test_broken_files_are_named(root, name, old, new):
-    path = root / "sequences" / NAME / name
+    path = root / "sequences" / HOT3D_NAME / name
     path.write_text(new if old is None else path.read_text().replace(old, new))
     with pytest.raises(InputError, match=name.replace(".", r"\.")):
         list(read(root))
 
 
 def test_recordings_of_absurd_lengths_are_refused(root, monkeypatch):
-    monkeypatch.setattr(hot3d_files, "MAX_HOT3D_FRAMES", FRAMES - 1)
+    monkeypatch.setattr(hot3d_files, "MAX_HOT3D_FRAMES", HOT3D_FRAMES - 1)
     with pytest.raises(InputError, match=r"headset_trajectory\.csv must be 2 to 15.*got 16 frames"):
         list(read(root))
     monkeypatch.setattr(hot3d_files, "MAX_HOT3D_FILE_BYTES", 1000)
@@ -138,7 +138,7 @@ def test_hot3d_clips_are_named(tmp_path, name):
 
 
 def test_missing_files_are_named(root):
-    (root / "sequences" / NAME / "camera_models.json").unlink()
+    (root / "sequences" / HOT3D_NAME / "camera_models.json").unlink()
     with pytest.raises(InputError, match=r"camera_models\.json"):
         list(read(root))
     (root / "assets" / "instance.json").unlink()
@@ -183,7 +183,7 @@ def test_whole_recordings_show_what_is_outside_of_the_holds(root, tmp_path, run)
     (piece,) = cut_into_holds(source.read(print), print, HOT3D_GRASP_OPTIONS.cut(print))
     clip, _ = cutting.clip_of_piece(piece, HOT3D_GRASP_OPTIONS.shortest, print)
     assert (clip.name, clip.frames) == (HOLD, frames(tmp_path / "out" / HOLD))
-    assert clip.frames == tuple(f"{n:06d}" for n in range(FRAMES))
+    assert clip.frames == tuple(f"{n:06d}" for n in range(HOT3D_FRAMES))
     assert segment(clip, Definition(contact=0.005, points="area", shortest=5))[1] == [(2, 13)]
     other = replace(piece.track.take(np.array([1, 4])), side="left")
     both, _ = cutting.clip_of_piece(replace(piece, other=other), HOT3D_GRASP_OPTIONS.shortest, print)
@@ -220,8 +220,8 @@ def timelines(path, **changes):
     segments = [(3, 6, "right", "inhand"), (6, 8, None, "scene_dynamic"), (8, 40, "right", "inhand")]
     segments += [(9, 9, "right", "inhand"), (50, 2, "right", "inhand"), (0, 15, "left", "inhand")]
     entry = {
-        "timeline_name": f"{NAME}_red_box_00000_00016", "seq_name": NAME, "cat": "red_box", "total_start": 0,
-        "total_end": FRAMES, "segments": [dict(zip(("st", "ed", "side", "ref"), s, strict=True)) for s in segments],
+        "timeline_name": f"{HOT3D_NAME}_red_box_00000_00016", "seq_name": HOT3D_NAME, "cat": "red_box", "total_start": 0,
+        "total_end": HOT3D_FRAMES, "segments": [dict(zip(("st", "ed", "side", "ref"), s, strict=True)) for s in segments],
     }  # fmt: skip
     path.write_text(json.dumps([entry | changes]))
     return path
@@ -237,13 +237,13 @@ def test_grasps_of_a_list(root, tmp_path, run):
     found = {path.parent.name: frames(path.parent) for path in (tmp_path / "out").glob("*/clip.json")}
     assert found == {
         f"{HOLD}--00003-00006": tuple(f"{n:06d}" for n in range(3, 7)),  # both ends included
-        f"{HOLD}--00008-00040": tuple(f"{n:06d}" for n in range(8, FRAMES)),
+        f"{HOLD}--00008-00040": tuple(f"{n:06d}" for n in range(8, HOT3D_FRAMES)),
     }
 
 
 @pytest.mark.slow
 def test_a_list_that_counts_other_frames_is_refused_unless_its_first_number_is_given(root, tmp_path, run):
-    listed = timelines(tmp_path / "hit.json", total_end=FRAMES + 4)
+    listed = timelines(tmp_path / "hit.json", total_end=HOT3D_FRAMES + 4)
     call = ("import", "hot3d", root, "--out", tmp_path / "out", "--list", listed)
     status, _, err = run(*call)
     assert status == 1

@@ -14,7 +14,7 @@ from getagrip.geometry import se3
 from getagrip.metrics.evaluate import evaluate_result
 from getagrip.stable_grasps.definition import Definition
 from getagrip.stable_grasps.find import segment
-from helpers.paths import DATA, needs
+from helpers.environment import DATA, needs
 
 HOT3D = DATA / "hot3d"
 POT = "P0003--c701bd11--coffee_pot--left"

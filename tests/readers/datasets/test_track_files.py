@@ -16,8 +16,7 @@ from getagrip.readers.datasets import cutting
 from getagrip.readers.datasets.dataset import clips
 from getagrip.readers.datasets.track_files import Tracks
 from getagrip.readers.datasets.tracks import Track
-from helpers.recorded_joints import BOTTOM, FRAMES, TAKEN, recording
-from helpers.tracks_files import content, write
+from helpers.motion_capture_files import BOTTOM, JOINT_FRAMES, TAKEN, content, recording, write
 
 
 def read(file: Path) -> list[Track]:
@@ -55,7 +54,7 @@ def test_an_assumed_camera_sees_hand_and_object_upright_and_is_called_a_guess(tm
     (track,) = read(write(tmp_path))
     of = recording()
     T_cam_world = track.T_cam_obj @ se3.inverse(of.T_world_obj)
-    np.testing.assert_allclose(T_cam_world, np.tile(T_cam_world[0], (FRAMES, 1, 1)), atol=1e-9)
+    np.testing.assert_allclose(T_cam_world, np.tile(T_cam_world[0], (JOINT_FRAMES, 1, 1)), atol=1e-9)
     assert T_cam_world[0, 1, 2] < 0  # up is up in the image
     uv = track.T_cam_obj[:, :3, 3] @ track.K.T
     uv = uv[:, :2] / uv[:, 2:]
@@ -88,9 +87,9 @@ def test_clips_are_given_the_estimated_hand_where_there_is_one(tmp_path: Path) -
 def test_unknown_frames_are_gaps(tmp_path: Path) -> None:
     joints, poses = recording().joints["right"].copy(), recording().T_world_obj.copy()
     joints[[3, 4]], poses[20] = np.nan, np.nan
-    (track,) = read(write(tmp_path, joints_right=joints, T_world_obj=poses, frames=np.arange(100, 100 + FRAMES)))
+    (track,) = read(write(tmp_path, joints_right=joints, T_world_obj=poses, frames=np.arange(100, 100 + JOINT_FRAMES)))
     missing = {103, 104, 120}
-    assert list(track.numbers) == [n for n in range(100, 100 + FRAMES) if n not in missing]
+    assert list(track.numbers) == [n for n in range(100, 100 + JOINT_FRAMES) if n not in missing]
 
 
 @pytest.mark.slow
@@ -122,7 +121,7 @@ def test_a_clip_of_the_grasp_with_masks(tmp_path: Path) -> None:
     [
         ({"order": "mano"}, "openpose, ho3d"),
         ({"joints_right": None}, "joints"),
-        ({"joints_right": np.zeros((FRAMES, 20, 3))}, "shape"),
+        ({"joints_right": np.zeros((JOINT_FRAMES, 20, 3))}, "shape"),
         ({"estimated_left": recording().joints["left"]}, "the same sides"),
         ({"joints_right": 1e3 * recording().joints["right"]}, "metre"),
         ({"joints_right": np.where(np.arange(21)[:, None] == 4, np.nan, recording().joints["right"])}, "NaN"),
@@ -133,7 +132,7 @@ def test_a_clip_of_the_grasp_with_masks(tmp_path: Path) -> None:
         ({"fps": "fast"}, "fps"),
         ({"subject": "a/b"}, "subject"),
         ({"category": None}, "category"),
-        ({"frames": np.zeros(FRAMES, dtype=int)}, "rising"),
+        ({"frames": np.zeros(JOINT_FRAMES, dtype=int)}, "rising"),
         ({"K": np.eye(3)}, "all of them, or none"),
         ({"K": np.eye(3), "size": [640, 0], "T_cam_world": np.eye(4)}, "size"),
         ({"articulation": recording().angle}, "all of them, or none"),

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.estimator_files import (
-    write_mano_files,
-)
+from helpers.hand_files import write_mano_files
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from numpy import ndarray
 from getagrip.provenance import estimated
 from getagrip.readers.trackers.estimates import Estimate, HandParameters, Request
 from getagrip.readers.trackers.read_hands import choose_frame_hands
-from helpers.estimator_files import SIZE, K
+from helpers.hand_files import SIZE, K
 
 SHAPE = np.random.default_rng(0).uniform(-0.06, 0.06, (21, 3))
 FRAMES = tuple(f"{n:06d}" for n in range(1, 7))

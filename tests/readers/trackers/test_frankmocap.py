@@ -14,13 +14,7 @@ from getagrip.hands import mano
 from getagrip.hands.model import Side, mirrored_pose
 from getagrip.readers.trackers import read_tracked_hands
 from getagrip.readers.trackers.frankmocap import FrankMocap
-from helpers.estimator_files import (
-    FRAMES,
-    PIXELS,
-    Known,
-    frankmocap_record,
-)
-from helpers.tracked_hands import SIDES, joints_of, request
+from helpers.hand_files import FRAMES, PIXELS, SIDES, Known, frankmocap_record, joints_of, request
 
 
 @pytest.mark.parametrize("side", SIDES)

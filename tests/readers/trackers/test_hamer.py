@@ -17,13 +17,7 @@ from getagrip.hands.model import SIDE_MIRROR, Side
 from getagrip.provenance import is_assumed
 from getagrip.readers.trackers import Request, read_tracked_hands
 from getagrip.readers.trackers.hamer import HaMeR
-from helpers.estimator_files import (
-    FRAMES,
-    Known,
-    hamer_record,
-    write_npz,
-)
-from helpers.tracked_hands import SIDES, joints_of, request
+from helpers.hand_files import FRAMES, SIDES, Known, hamer_record, joints_of, request, write_npz
 
 
 @pytest.mark.parametrize("with_mano", [True, False])

@@ -13,11 +13,7 @@ from getagrip.geometry import se3
 from getagrip.hands.model import Side
 from getagrip.readers.trackers import read_tracked_hands
 from getagrip.readers.trackers.hamer import HaMeR, WiLoR
-from helpers.estimator_files import (
-    Known,
-    demo_files,
-)
-from helpers.tracked_hands import SIDES, joints_of, request
+from helpers.hand_files import SIDES, Known, demo_files, joints_of, request
 
 
 @pytest.mark.parametrize("side", SIDES)

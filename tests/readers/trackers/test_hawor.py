@@ -15,13 +15,7 @@ from getagrip.geometry import se3
 from getagrip.hands.model import Side
 from getagrip.readers.trackers import Request, read_tracked_hands
 from getagrip.readers.trackers.hawor import HaWoR
-from helpers.estimator_files import (
-    PIXELS,
-    SIZE,
-    K,
-    Known,
-)
-from helpers.tracked_hands import SIDES, joints_of, request
+from helpers.hand_files import PIXELS, SIDES, SIZE, K, Known, joints_of, request
 
 
 def from_0(side: Side, folder: Path) -> Request:

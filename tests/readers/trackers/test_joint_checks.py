@@ -16,8 +16,7 @@ from getagrip.hands.model import SIDE_MIRROR
 from getagrip.readers.trackers import read_tracked_hands, records
 from getagrip.readers.trackers.joints import Joints
 from getagrip.readers.trackers.read_hands import check_before_camera, reorder_joints
-from helpers.estimator_files import Known, write_npz
-from helpers.tracked_hands import SIDES, joints_of, request
+from helpers.hand_files import SIDES, Known, joints_of, request, write_npz
 
 PATH = Path("j.npz")
 HAND = generic.load("right").with_shape().with_pose(np.zeros(45))

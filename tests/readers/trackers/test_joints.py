@@ -12,11 +12,7 @@ from getagrip.hands.fit_joints import JOINT_ORDERS
 from getagrip.hands.model import Side
 from getagrip.readers.trackers import read_tracked_hands
 from getagrip.readers.trackers.joints import Joints
-from helpers.estimator_files import (
-    Known,
-    write_npz,
-)
-from helpers.tracked_hands import SIDES, joints_of, request
+from helpers.hand_files import SIDES, Known, joints_of, request, write_npz
 
 
 @pytest.mark.parametrize("side", SIDES)

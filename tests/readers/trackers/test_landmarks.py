@@ -16,8 +16,7 @@ from getagrip.provenance import is_assumed
 from getagrip.readers.trackers import read_tracked_hands
 from getagrip.readers.trackers.joints import Joints
 from getagrip.readers.trackers.landmarks_2d import Landmarks
-from helpers.estimator_files import FRAMES, SIZE, K, Known, write_npz
-from helpers.tracked_hands import joints_of, request
+from helpers.hand_files import FRAMES, SIZE, K, Known, joints_of, request, write_npz
 
 KNOWN = Known("right", None)
 POINTS = project(K, KNOWN.joints)

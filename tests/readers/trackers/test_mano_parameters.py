@@ -13,12 +13,7 @@ from getagrip.hands import mano
 from getagrip.hands.model import Side
 from getagrip.readers.trackers import read_tracked_hands
 from getagrip.readers.trackers.mano_parameters import ManoParameters
-from helpers.estimator_files import (
-    PIXELS,
-    Known,
-    write_npz,
-)
-from helpers.tracked_hands import SIDES, joints_of, request
+from helpers.hand_files import PIXELS, SIDES, Known, joints_of, request, write_npz
 
 
 @pytest.mark.parametrize("mean", ["flat", "mean"])

@@ -23,13 +23,7 @@ from getagrip.readers.trackers.frankmocap import FrankMocap
 from getagrip.readers.trackers.hamer import HaMeR
 from getagrip.readers.trackers.hawor import HaWoR
 from getagrip.readers.trackers.joints import Joints
-from helpers.estimator_files import (
-    Known,
-    frankmocap_record,
-    hamer_record,
-    write_npz,
-)
-from helpers.tracked_hands import request
+from helpers.hand_files import Known, frankmocap_record, hamer_record, request, write_npz
 
 BROKEN: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
     "global_orient": lambda r: r | {"global_orient": np.full((1, 3, 3), np.nan)},

@@ -24,9 +24,19 @@ from getagrip.readers.trackers.joints import Joints
 from getagrip.readers.trackers.landmarks_2d import Landmarks
 from getagrip.readers.trackers.lerobot_hands import LeRobot
 from getagrip.readers.trackers.records import HAWOR_CONVERSION_COMMAND
-from helpers import other_estimators as forged
-from helpers.estimator_files import FRAMES, SIZE, K, Known, frankmocap_record, hamer_record, write_npz
-from helpers.tracked_hands import SIDES, joints_of, request
+from helpers import hand_files as forged
+from helpers.hand_files import (
+    FRAMES,
+    SIDES,
+    SIZE,
+    K,
+    Known,
+    frankmocap_record,
+    hamer_record,
+    joints_of,
+    request,
+    write_npz,
+)
 
 Write = Callable[[Path, Known, Path], Path]
 

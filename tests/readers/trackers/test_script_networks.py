@@ -21,7 +21,7 @@ import pytest
 
 from getagrip.io import arrays
 from getagrip.io.images import read_png
-from helpers.paths import ROOT
+from helpers.environment import ROOT
 
 SCRIPTS = ROOT / "scripts" / "estimators"
 SIZE = (160, 120)

@@ -15,15 +15,8 @@ from getagrip.hands.model import PALM_REGIONS, Side
 from getagrip.io import arrays
 from getagrip.readers.trackers import read_tracked_hands
 from getagrip.readers.trackers.hamer import HaMeR
-from helpers.estimator_files import (
-    FRAMES,
-    K,
-    Known,
-    hamer_record,
-    write_npz,
-)
-from helpers.paths import ROOT
-from helpers.tracked_hands import SIDES, request
+from helpers.environment import ROOT
+from helpers.hand_files import FRAMES, SIDES, K, Known, hamer_record, request, write_npz
 
 SCRIPTS = ROOT / "scripts" / "estimators"
 

@@ -12,11 +12,8 @@ from getagrip.readers.trackers import TRACKERS, choose_tracker, read_tracked_han
 from getagrip.readers.trackers.hawor import HaWoR
 from getagrip.readers.trackers.joints import Joints
 from getagrip.readers.trackers.mano_parameters import ManoParameters
-from helpers.command_line import Run
-from helpers.estimator_files import (
-    write_npz,
-)
-from helpers.tracked_hands import request
+from helpers.environment import Run
+from helpers.hand_files import request, write_npz
 
 
 def test_what_no_file_states_is_asked_for(tmp_path: Path) -> None:

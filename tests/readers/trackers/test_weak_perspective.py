@@ -6,10 +6,7 @@ import numpy as np
 
 from getagrip.geometry.camera import project
 from getagrip.readers.trackers.estimates import Camera, WeakPerspective
-from helpers.estimator_files import (
-    SIZE,
-    cam_crop_to_full,
-)
+from helpers.hand_files import SIZE, cam_crop_to_full
 
 
 def test_weak_perspective_keeps_the_projection() -> None:

@@ -12,12 +12,7 @@ from getagrip.geometry import se3
 from getagrip.hands.model import Side
 from getagrip.readers.trackers import Tracker, read_tracked_hands
 from getagrip.readers.trackers.hamer import HaMeR, WiLoR
-from helpers.estimator_files import (
-    FRAMES,
-    Known,
-    hamer_record,
-)
-from helpers.tracked_hands import SIDES, joints_of, request
+from helpers.hand_files import FRAMES, SIDES, Known, hamer_record, joints_of, request
 
 
 @pytest.mark.parametrize(("tracker", "key"), [(WiLoR(), "wilor_preds"), (HaMeR(), "hamer_preds")])

@@ -14,8 +14,8 @@ from getagrip.clip import input_sha256, write_clip
 from getagrip.report.pages.viewer import GROUND_TRUTH_LABEL, entry_severity_key, group_entries, label_views
 from getagrip.result import Reconstruction, write_result
 from getagrip.result.findings import Finding
-from helpers.command_line import Run
-from helpers.two_candidates import two_candidates, view
+from helpers.environment import Run
+from helpers.results import two_candidates, view
 
 SERIOUS = Finding("contact-gap", True, 40.0, 15.0, "they are far apart")
 

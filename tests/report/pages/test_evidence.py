@@ -13,7 +13,7 @@ from getagrip.report.pages.candidates import (
     compute_candidate_metrics,
     weigh_candidate,
 )
-from helpers.two_candidates import OFF, view
+from helpers.results import OFF, view
 
 
 @pytest.fixture(scope="module")

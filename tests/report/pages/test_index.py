@@ -10,7 +10,7 @@ import pytest
 from getagrip.metrics.evaluate import evaluate
 from getagrip.report.pages import index_row, index_row_without_clip
 from getagrip.report.pictures.result_view import View
-from helpers.egg_and_mug import egg_and_mug, perfect
+from helpers.scenes import egg_and_mug, perfect
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from getagrip.geometry import se3
 from getagrip.report.pages import scene_data
 from getagrip.report.pictures.contact_colours import subdivide_object, surface_gap
 from getagrip.report.pictures.result_view import View
-from helpers.egg_and_mug import egg_and_mug, perfect
+from helpers.scenes import egg_and_mug, perfect
 
 
 def test_what_the_other_hand_touches_is_touched() -> None:

@@ -17,8 +17,8 @@ from getagrip.geometry import se3
 from getagrip.report.pages import IndexRow, index_row_without_clip, write_index
 from getagrip.result import Axis, Candidates, write_result
 from getagrip.result.findings import SUCCESS_DEFINITION, Finding, Probability
-from helpers.browser import IN_BROWSER, READS_BACK, until
-from helpers.egg_and_mug import egg_and_mug, perfect
+from helpers.annotation import IN_BROWSER, READS_BACK, until
+from helpers.scenes import egg_and_mug, perfect
 
 pytestmark = IN_BROWSER
 EVIL = "<img src=x onerror=hacked=1><script>hacked=1<"

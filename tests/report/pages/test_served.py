@@ -25,7 +25,7 @@ from getagrip.report.pages.viewer import GROUND_TRUTH_LABEL, ViewerLibrary, View
 from getagrip.report.pictures.result_view import View
 from getagrip.report.serving import LOOPBACK
 from getagrip.result import read_result_record, write_result
-from helpers.two_candidates import two_candidates
+from helpers.results import two_candidates
 
 pytestmark = pytest.mark.slow
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from getagrip.metrics.evaluate.results import Evaluation
 from getagrip.report.pages.result_page import result_tables
 from getagrip.report.pictures.result_view import View
-from helpers.egg_and_mug import egg_and_mug, perfect
+from helpers.scenes import egg_and_mug, perfect
 
 
 def test_checks_have_their_usual_range_and_a_verdict() -> None:

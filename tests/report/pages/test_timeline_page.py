@@ -12,9 +12,8 @@ from getagrip.metrics.evaluate import evaluate
 from getagrip.report.pages import write_page
 from getagrip.report.pictures.result_view import View
 from getagrip.result import SegmentResult
-from helpers.browser import IN_BROWSER
-from helpers.egg_and_mug import perfect
-from helpers.timelines import COMES, LIES, timeline
+from helpers.annotation import IN_BROWSER
+from helpers.scenes import COMES, LIES, perfect, timeline
 
 pytestmark = [*IN_BROWSER, pytest.mark.slow]
 

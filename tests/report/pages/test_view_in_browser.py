@@ -16,8 +16,8 @@ from PIL import Image
 from getagrip.clip import input_sha256, write_clip
 from getagrip.report.pages.viewer import ViewerLibrary, ViewerServer, group_entries
 from getagrip.result import write_result
-from helpers.browser import IN_BROWSER, READS_BACK, expect, until
-from helpers.two_candidates import two_candidates
+from helpers.annotation import IN_BROWSER, READS_BACK, expect, until
+from helpers.results import two_candidates
 
 pytestmark = [*IN_BROWSER, pytest.mark.slow]
 EVIL = "<img src=x onerror=hacked=1><script>hacked=1<"

@@ -7,7 +7,7 @@ import pytest
 
 from getagrip.geometry import se3
 from getagrip.report.pictures.result_view import candidate_view, fit_hinge_axis
-from helpers.two_candidates import two_candidates, view
+from helpers.results import two_candidates, view
 
 
 @pytest.mark.slow

@@ -31,10 +31,10 @@ from getagrip.result import Reconstruction, write_result
 from getagrip.result.findings import Finding
 from getagrip.synthetic.scene_options import SceneOptions
 from helpers.clips import box
-from helpers.command_line import Run
-from helpers.pictures import panel, pixels, pixels_of, texts
+from helpers.environment import Run
+from helpers.pages import panel, pixels, pixels_of, texts
+from helpers.results import true_result
 from helpers.scenes import scene, scene_with_axis
-from helpers.true_result import true_result
 
 DPI, LINES = 60, 110
 """Pixels an inch: few, and enough for lines to have their colours."""

@@ -15,8 +15,8 @@ from getagrip.report.pictures.panels import AXIS_COLOUR, HAND_LINE_COLOUR, RESUL
 from getagrip.report.pictures.result_view import View
 from getagrip.report.pictures.stills import draw_overlay, draw_side_view, smooth_track, smooth_windows
 from getagrip.result import Axis
-from helpers.egg_and_mug import FRAMES, egg_and_mug, perfect
-from helpers.pictures import pixels_of
+from helpers.pages import pixels_of
+from helpers.scenes import FRAMES, egg_and_mug, perfect
 
 
 def given() -> View:

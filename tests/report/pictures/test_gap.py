@@ -12,7 +12,7 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.report.pictures.contact_colours import GAP_SEARCH_DISTANCE_M, surface_gap
 from getagrip.report.pictures.result_view import View
 from helpers.clips import box
-from helpers.egg_and_mug import FRAMES, egg_and_mug, perfect
+from helpers.scenes import FRAMES, egg_and_mug, perfect
 
 RADIUS = 0.04
 

@@ -18,9 +18,9 @@ from getagrip.report.pictures.result_view import View
 from getagrip.result import Axis
 from getagrip.result.findings import ASSUMED_MESH, Probability
 from getagrip.synthetic.scene_options import SceneOptions
-from helpers.pictures import panel, pixels, pixels_of, read_picture, texts
+from helpers.pages import panel, pixels, pixels_of, read_picture, texts
+from helpers.results import true_result
 from helpers.scenes import scene_with_axis
-from helpers.true_result import true_result
 
 
 def given() -> tuple[Clip, Masks, Axis]:

@@ -12,9 +12,8 @@ from getagrip.report.film import CAPTION_HEIGHT_PX, FILM_PANEL_PX, FilmStage, _t
 from getagrip.report.pictures.panels import INK_COLOUR, STATE_COLOURS
 from getagrip.report.pictures.result_view import View
 from getagrip.result import SegmentResult
-from helpers.egg_and_mug import perfect
-from helpers.pictures import pixels_of
-from helpers.timelines import LIES, by_other_hand, timeline
+from helpers.pages import pixels_of
+from helpers.scenes import LIES, by_other_hand, perfect, timeline
 
 SIZE = 160
 

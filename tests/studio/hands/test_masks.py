@@ -8,7 +8,7 @@ import pytest
 
 from getagrip.studio.hands import hand_mask
 from getagrip.studio.hands.hand_pixels import LANDMARK_BONES
-from helpers.seen_hands import POINTS
+from helpers.labelled_scene import POINTS
 
 SHAPE = (480, 640)
 HAND = 2.0 * POINTS

@@ -11,9 +11,7 @@ import pytest
 from getagrip.cli.annotate import MARKS_DATABASE
 from getagrip.studio.masks import propagate_clip
 from getagrip.studio.store.tasks import Task
-from helpers.annotation_page import Served
-from helpers.browser import close
-from helpers.labelling_page import FIRST, LAST, MARK
+from helpers.annotation import FIRST_FRAME, LAST_FRAME, MARK, Served, close
 
 
 @pytest.fixture
@@ -31,7 +29,7 @@ def served(scene_video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     tasks = [Task("scene", "scene", scene_video), Task("another", "another", scene_video)]
     made = Served(tasks, tmp_path / MARKS_DATABASE)
     about = {"mark": MARK, "task": "scene", "annotator": "ann", "tab": "a-tab-of-old"}
-    sets = ({"start": FIRST, "side": "left", "category": "disc"}, {"end": LAST})
+    sets = ({"start": FIRST_FRAME, "side": "left", "category": "disc"}, {"end": LAST_FRAME})
     for n, one in enumerate(sets):
         made.project.change(about | {"change": f"change-{n}", "set": one})
     yield made

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from helpers.paths import ROOT
+from helpers.environment import ROOT
 
 PAGE = ROOT / "src" / "getagrip" / "studio" / "page"
 ALIKE = {"Home", "End", "Escape", "Delete", "Backspace", "u"}

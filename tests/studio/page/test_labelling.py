@@ -18,26 +18,29 @@ from getagrip.io.images import write_image
 from getagrip.studio import jobs
 from getagrip.studio.jobs import BackgroundJob
 from getagrip.studio.store.history import Change
-from helpers.annotation_page import Served, saved
-from helpers.browser import IN_BROWSER, expect, until
-from helpers.labelled_scene import circle, joints, middle
-from helpers.labelling_page import (
+from helpers.annotation import (
     BETWEEN,
-    FIRST,
-    LAST,
+    FIRST_FRAME,
+    IN_BROWSER,
+    LAST_FRAME,
     MARK,
+    Served,
     click,
     click_joints,
     drag,
     draw,
     draw_disc,
+    expect,
     goto,
     kept,
     near,
     on_screen,
     opened,
+    saved,
     shows,
+    until,
 )
+from helpers.labelled_scene import circle, joints, middle
 
 pytestmark = IN_BROWSER
 
@@ -49,16 +52,16 @@ def test_two_tabs_that_label_lose_nothing(context: Any, served: Served) -> None:
     expect(two.locator("#joint")).to_have_text("Next: Thumb root, at the wrist")  # without a reload
     click(two, [120, 100])
     two.keyboard.press("o")
-    draw(two, circle(FIRST, 6))
+    draw(two, circle(FIRST_FRAME, 6))
     drag(one, [100, 100], [90, 80])
     saved(one)
     saved(two)
     for page in (one, two):
         expect(page.locator("#keyframes li")).to_contain_text("2 joints · 1 polygon")
-    state = kept(served)[FIRST]
+    state = kept(served)[FIRST_FRAME]
     assert near(state.joints["0"], [90, 80])
     assert near(state.joints["1"], [120, 100])
-    assert near(state.polygons("object")[0], circle(FIRST, 6))
+    assert near(state.polygons("object")[0], circle(FIRST_FRAME, 6))
 
 
 def test_clicks_made_while_the_server_is_away_are_kept(context: Any, served: Served) -> None:
@@ -72,7 +75,7 @@ def test_clicks_made_while_the_server_is_away_are_kept(context: Any, served: Ser
     again.goto(served.server.url)
     saved(again)
     until(again, "localStorage.length < 2")
-    assert near(kept(served)[FIRST].joints["0"], [100, 100])
+    assert near(kept(served)[FIRST_FRAME].joints["0"], [100, 100])
 
 
 def test_an_address_opens_the_grasp_to_be_labelled(context: Any, served: Served) -> None:
@@ -86,14 +89,16 @@ def test_an_address_opens_the_grasp_to_be_labelled(context: Any, served: Served)
 
 def test_from_clicks_to_files(context: Any, served: Served, tmp_path: Path) -> None:
     page = opened(context, served)
-    for frame in (FIRST, LAST):
+    for frame in (FIRST_FRAME, LAST_FRAME):
         goto(page, frame)
         click_joints(page, frame)
         draw_disc(page, frame)
     saved(page)
-    assert near(list(kept(served)[LAST].joints.values()), joints(LAST), 0.8)
+    assert near(list(kept(served)[LAST_FRAME].joints.values()), joints(LAST_FRAME), 0.8)
     page.keyboard.press("b")
-    expect(page.locator("#fill-state")).to_have_text(f"All {LAST - FIRST + 1} frames filled in.", timeout=30_000)
+    expect(page.locator("#fill-state")).to_have_text(
+        f"All {LAST_FRAME - FIRST_FRAME + 1} frames filled in.", timeout=30_000
+    )
     goto(page, BETWEEN)
     expect(page.locator("#layer path.draft.object")).to_have_count(1)
     expect(page.locator("#layer path.draft.hand")).to_have_count(1)
@@ -104,8 +109,8 @@ def test_from_clicks_to_files(context: Any, served: Served, tmp_path: Path) -> N
     expect(page.locator("#layer path.draft")).to_have_count(0)
     page.keyboard.press("v")
     page.reload()
-    shows(page, FIRST)  # what was filled in is still there
-    expect(page.locator("#fill-state")).to_have_text(f"All {LAST - FIRST + 1} frames filled in.")
+    shows(page, FIRST_FRAME)  # what was filled in is still there
+    expect(page.locator("#fill-state")).to_have_text(f"All {LAST_FRAME - FIRST_FRAME + 1} frames filled in.")
     goto(page, BETWEEN)
     page.keyboard.press("o")
     page.keyboard.press("k")
@@ -118,11 +123,11 @@ def test_from_clicks_to_files(context: Any, served: Served, tmp_path: Path) -> N
     expect(page.locator("#command")).to_contain_text("getagrip clip new", timeout=30_000)
     (folder,) = [path for path in tmp_path.iterdir() if path.is_dir()]
     assert (folder / "hand.npz").is_file()
-    assert len(list((folder / "masks").glob("*.png"))) == LAST - FIRST + 1
+    assert len(list((folder / "masks").glob("*.png"))) == LAST_FRAME - FIRST_FRAME + 1
     with page.expect_download() as download:
         page.click("#labels-json")
     labels = json.loads(Path(download.value.path()).read_text())
-    assert labels["frames"].keys() == {str(n) for n in (FIRST, BETWEEN, LAST)}
+    assert labels["frames"].keys() == {str(n) for n in (FIRST_FRAME, BETWEEN, LAST_FRAME)}
 
 
 def test_it_ends_in_a_reconstruction(
@@ -143,11 +148,11 @@ def test_it_ends_in_a_reconstruction(
 
     monkeypatch.setattr(jobs, "run_command", ran)
     about = {"grasp": MARK, "task": "scene", "annotator": "ann", "tab": "a-tab-of-old"}
-    clicked = {str(n): point for n, point in enumerate(joints(FIRST))}
-    served.project.label(about | {"change": "all-joints", "frame": FIRST, "set": {"joints": clicked}})
+    clicked = {str(n): point for n, point in enumerate(joints(FIRST_FRAME))}
+    served.project.label(about | {"change": "all-joints", "frame": FIRST_FRAME, "set": {"joints": clicked}})
     page = opened(context, served)
     expect(page.locator("#reconstruct")).to_be_disabled()
-    draw_disc(page, FIRST)
+    draw_disc(page, FIRST_FRAME)
     saved(page)
     assert page.input_value("#mesh") == "disc"  # what the grasp is of: there is no such shape
     page.click("#reconstruct")
@@ -171,7 +176,7 @@ def test_the_next_step_is_shown_and_the_grasp_can_be_left(context: Any, served: 
     page.keyboard.press("b")
     expect(page.locator("#problem")).to_contain_text("nothing to fill in yet")
     assert page.locator("#screen").bounding_box() == before  # nothing moves when something is refused
-    click(page, joints(FIRST)[0])
+    click(page, joints(FIRST_FRAME)[0])
     expect(page.locator("#problem")).to_be_hidden()
     page.keyboard.press("o")
     expect(page.locator("#label-next")).to_contain_text("6 joints at least")
@@ -184,7 +189,7 @@ def test_the_next_step_is_shown_and_the_grasp_can_be_left(context: Any, served: 
     page.reload()
     expect(page.locator("#definition")).to_be_visible()
     expect(page.locator("#marks li")).to_have_count(1)
-    assert kept(served).keys() == {FIRST}
+    assert kept(served).keys() == {FIRST_FRAME}
     page.keyboard.press("l")
     expect(page.locator("#keyframes li")).to_have_count(1)
 
@@ -193,13 +198,13 @@ def test_what_was_just_moved_is_kept_when_another_clip_is_opened(context: Any, s
     page = opened(context, served)
     click(page, [100, 100])
     saved(page)
-    before = kept(served)[FIRST].joints["0"]
+    before = kept(served)[FIRST_FRAME].joints["0"]
     page.keyboard.press("Shift+d")
     page.keyboard.press("n")
     expect(page.locator("#where")).to_have_text("another")
     expect(page.locator("#definition")).to_be_visible()
     saved(page)
-    assert kept(served)[FIRST].joints["0"][0] > before[0]
+    assert kept(served)[FIRST_FRAME].joints["0"][0] > before[0]
     expect(page.locator("#problem")).to_be_hidden()
 
 
@@ -207,8 +212,8 @@ def test_what_was_changed_elsewhere_is_not_undone(context: Any, served: Served) 
     page = opened(context, served)
     click(page, [100, 100])
     saved(page)
-    store, state = served.project.store.keyframes, kept(served)[FIRST]
+    store, state = served.project.store.keyframes, kept(served)[FIRST_FRAME]
     store.apply(Change("elsewhere", "another-tab", {}), state, lambda old, _: replace(old, hidden=True))
     page.keyboard.press("u")
     expect(page.locator("#problem")).to_contain_text("another tab")
-    assert kept(served)[FIRST].joints
+    assert kept(served)[FIRST_FRAME].joints

@@ -10,9 +10,8 @@ import pytest
 
 from getagrip.cli.annotate import MARKS_DATABASE
 from getagrip.studio.store.tasks import Task
-from helpers.annotation_page import Served, saved
-from helpers.browser import IN_BROWSER, expect
-from helpers.numbered_footage import BITS, FRAMES, write_video
+from helpers.annotation import IN_BROWSER, Served, expect, saved
+from helpers.labelled_scene import BITS, NUMBERED_FRAMES, write_video
 
 pytestmark = IN_BROWSER
 
@@ -90,9 +89,9 @@ def test_step_mark_reload_nothing_is_lost(context: Any, served: Served) -> None:
     page.keyboard.press("ArrowLeft")
     shows(page, 11)
     page.keyboard.press("End")
-    shows(page, FRAMES)
+    shows(page, NUMBERED_FRAMES)
     page.keyboard.press("ArrowRight")
-    shows(page, FRAMES)
+    shows(page, NUMBERED_FRAMES)
     mark(page, 3, 25)
     page.fill("#category", "plate")
     page.keyboard.press("Enter")
@@ -130,7 +129,7 @@ def test_two_tabs_at_once(context: Any, served: Served) -> None:
     mark(one, 3, 25)
     expect(two.locator("#marks li")).to_have_count(1)  # without a reload
     two.keyboard.press("End")
-    shows(two, FRAMES)
+    shows(two, NUMBERED_FRAMES)
     two.locator("#marks li").click()
     shows(two, 4)
     two.keyboard.press("ArrowRight")
@@ -265,16 +264,16 @@ def test_playback_shows_frames_in_order_and_stops_at_the_end(context: Any, serve
     page.keyboard.press("End")
     for _ in range(2):
         page.keyboard.press("Shift+ArrowLeft")
-    shows(page, FRAMES - 20)
+    shows(page, NUMBERED_FRAMES - 20)
     page.evaluate(
         """() => { window.seen = []; new MutationObserver(() =>
         seen.push(Number(document.getElementById("frame").textContent)))
         .observe(document.getElementById("frame"), {childList: true, characterData: true, subtree: true}); }"""
     )
     page.keyboard.press(" ")
-    expect(page.locator("#frame")).to_have_text(str(FRAMES))
-    shows(page, FRAMES)
+    expect(page.locator("#frame")).to_have_text(str(NUMBERED_FRAMES))
+    shows(page, NUMBERED_FRAMES)
     seen = page.evaluate("seen")  # as many as the machine keeps up with
     assert seen == sorted(seen)
-    assert seen[-1] == FRAMES
+    assert seen[-1] == NUMBERED_FRAMES
     expect(page.locator("#play")).to_contain_text("Play")

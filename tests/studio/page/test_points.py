@@ -6,16 +6,29 @@ from typing import Any
 
 import numpy as np
 
-from helpers.annotation_page import Served, saved
-from helpers.browser import IN_BROWSER, expect
+from helpers.annotation import (
+    FIRST_FRAME,
+    IN_BROWSER,
+    Served,
+    click,
+    drag,
+    draw,
+    draw_disc,
+    expect,
+    kept,
+    near,
+    on_screen,
+    opened,
+    saved,
+    shows,
+)
 from helpers.labelled_scene import circle, joints
-from helpers.labelling_page import FIRST, click, drag, draw, draw_disc, kept, near, on_screen, opened, shows
 
 pytestmark = IN_BROWSER
 
 
 def test_joints_are_clicked_in_order_corrected_and_not_lost(context: Any, served: Served) -> None:
-    page, points = opened(context, served), joints(FIRST)
+    page, points = opened(context, served), joints(FIRST_FRAME)
     expect(page.locator("#joint")).to_have_text("Next: Wrist")
     click(page, points[0])
     expect(page.locator("#joint")).to_have_text("Next: Thumb root, at the wrist")
@@ -23,20 +36,20 @@ def test_joints_are_clicked_in_order_corrected_and_not_lost(context: Any, served
     click(page, points[2])
     expect(page.locator("#joint")).to_have_text("Next: Thumb last joint")
     saved(page)
-    state = kept(served)[FIRST].joints
+    state = kept(served)[FIRST_FRAME].joints
     assert state["1"] == "unseen"
     assert near(state["0"], points[0])
     assert near(state["2"], points[2])
     drag(page, points[0], [100, 200])
     saved(page)
-    assert near(kept(served)[FIRST].joints["0"], [100, 200])
+    assert near(kept(served)[FIRST_FRAME].joints["0"], [100, 200])
     for _ in range(3):
         page.keyboard.press("d")  # a pixel of the screen to the right, the wrist being chosen
     page.keyboard.press("w")
     page.reload()  # what was not sent yet goes first
-    shows(page, FIRST)
+    shows(page, FIRST_FRAME)
     saved(page)
-    x, y = kept(served)[FIRST].joints["0"]
+    x, y = kept(served)[FIRST_FRAME].joints["0"]
     assert 100.5 < x < 102
     assert 199 < y < 200
     page.locator("#hand circle").nth(2).click()  # chosen in the picture of the hand
@@ -53,44 +66,44 @@ def test_joints_are_clicked_in_order_corrected_and_not_lost(context: Any, served
 
 def test_joints_that_are_not_visible_are_not_called_there(context: Any, served: Served) -> None:
     page = opened(context, served)
-    click(page, joints(FIRST)[0])
+    click(page, joints(FIRST_FRAME)[0])
     for _ in range(20):
         page.keyboard.press("m")
     expect(page.locator("#joint")).to_have_text("Nothing is left to click here: 20 joints are not visible.")
 
 
 def test_a_polygon_is_drawn_closed_and_edited(context: Any, served: Served) -> None:
-    page, points = opened(context, served), circle(FIRST, 8)
+    page, points = opened(context, served), circle(FIRST_FRAME, 8)
     page.keyboard.press("o")
     for point in points:
         click(page, point)
     saved(page)
-    (outline,) = kept(served)[FIRST].outlines.values()
+    (outline,) = kept(served)[FIRST_FRAME].outlines.values()
     assert not outline["closed"]
     page.reload()  # in the middle of it
-    shows(page, FIRST)
+    shows(page, FIRST_FRAME)
     page.keyboard.press("o")
     click(page, points[0])
     saved(page)
-    (outline,) = kept(served)[FIRST].outlines.values()
+    (outline,) = kept(served)[FIRST_FRAME].outlines.values()
     assert outline["closed"]
     assert near(outline["points"], points)
     half = (np.array(points[0]) + points[1]) / 2
     click(page, half.tolist())  # on the line: a point more
     drag(page, points[3], [60, 60])
     saved(page)
-    (outline,) = kept(served)[FIRST].outlines.values()
+    (outline,) = kept(served)[FIRST_FRAME].outlines.values()
     assert near(outline["points"], [points[0], half.tolist(), *points[1:3], [60, 60], *points[4:]])
     page.keyboard.press("Delete")  # the point that was dragged
     page.keyboard.press("i")
-    draw(page, circle(FIRST + 8, 5))
+    draw(page, circle(FIRST_FRAME + 8, 5))
     saved(page)
-    assert [len(shape) for shape in kept(served)[FIRST].polygons("object")] == [8]
-    assert [len(shape) for shape in kept(served)[FIRST].polygons("front")] == [5]
+    assert [len(shape) for shape in kept(served)[FIRST_FRAME].polygons("object")] == [8]
+    assert [len(shape) for shape in kept(served)[FIRST_FRAME].polygons("front")] == [5]
     expect(page.locator("#outline-list li")).to_have_count(2)
     page.locator("#outline-list li.front button").click()
     saved(page)
-    assert not kept(served)[FIRST].polygons("front")
+    assert not kept(served)[FIRST_FRAME].polygons("front")
 
 
 def test_points_are_placed_where_the_zoomed_and_moved_picture_shows_them(context: Any, served: Served) -> None:
@@ -104,7 +117,7 @@ def test_points_are_placed_where_the_zoomed_and_moved_picture_shows_them(context
     assert kept(served) == {}
     click(page, [151.25, 90.5])
     saved(page)
-    assert near(kept(served)[FIRST].joints["0"], [151.25, 90.5], 0.2)
+    assert near(kept(served)[FIRST_FRAME].joints["0"], [151.25, 90.5], 0.2)
 
 
 def test_clicks_near_points_add_points(context: Any, served: Served) -> None:
@@ -117,22 +130,22 @@ def test_clicks_near_points_add_points(context: Any, served: Served) -> None:
     assert step < 8 * 4  # nearer to each other than a click reaches
     draw(page, border)
     saved(page)
-    (one,) = kept(served)[FIRST].outlines.values()
+    (one,) = kept(served)[FIRST_FRAME].outlines.values()
     assert (len(one["points"]), one["closed"]) == (len(border), True)
     page.mouse.click(*on_screen(page, [130, 120]))  # beside the dot, not on it
     page.mouse.click(x, y)
     saved(page)
-    (one,) = kept(served)[FIRST].outlines.values()
+    (one,) = kept(served)[FIRST_FRAME].outlines.values()
     assert len(one["points"]) in (len(border), len(border) + 1)
     assert page.locator("#layer .corner.chosen").count() == 1
 
 
 def test_an_answer_that_comes_late_takes_nothing_back(context: Any, served: Served) -> None:
-    page, points, late = opened(context, served), circle(FIRST, 8), []
+    page, points, late = opened(context, served), circle(FIRST_FRAME, 8), []
     page.route("**/api/labels*", lambda route: route.continue_() if late else late.append((route, route.fetch())))
     while not late:  # the page has asked, and waits
         page.wait_for_timeout(50)
-    draw_disc(page, FIRST)
+    draw_disc(page, FIRST_FRAME)
     saved(page)
     route, answer = late[0]
     route.fulfill(response=answer)
@@ -140,5 +153,5 @@ def test_an_answer_that_comes_late_takes_nothing_back(context: Any, served: Serv
     half = (np.array(points[0]) + points[1]) / 2
     click(page, half.tolist())
     saved(page)
-    (outline,) = kept(served)[FIRST].outlines.values()
+    (outline,) = kept(served)[FIRST_FRAME].outlines.values()
     assert near(outline["points"], [points[0], half.tolist(), *points[1:]])

@@ -14,7 +14,7 @@ from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
 from getagrip.stable_grasps.definition import Definition
 from getagrip.timelines.detect.detect_segments import DetectedSegments, find_segments
-from helpers.table_scene import HOLDING, LYING, from_table
+from helpers.scenes import HOLDING, LYING, from_table
 
 DEFINITION = Definition(contact=0.010, shortest=10)
 QUICK = Options(inits=12, frames=12)

@@ -5,12 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from helpers.dexycb_files import (
-    packed,
-    write_dexycb,
-    write_models,
-)
-from helpers.dexycb_sequences import read
+from helpers.dexycb_files import packed, read, write_dexycb, write_models
 
 
 @pytest.fixture(scope="session")

@@ -32,13 +32,14 @@ from helpers.dexycb_files import (
     SERIALS,
     SUBJECT,
     TAKEN,
+    grasps,
     grip,
     packed,
+    read,
     scene,
     write_sequence,
 )
-from helpers.dexycb_sequences import grasps, read
-from helpers.paths import DATA, needs
+from helpers.environment import DATA, needs
 
 
 @pytest.mark.slow

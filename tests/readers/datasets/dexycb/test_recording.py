@@ -21,10 +21,11 @@ from helpers.dexycb_files import (
     SERIALS,
     SUBJECT,
     packed,
+    read,
     scene,
+    write_extrinsics,
 )
-from helpers.dexycb_sequences import read, write_extrinsics
-from helpers.paths import DATA, needs
+from helpers.environment import DATA, needs
 
 
 @pytest.mark.slow

@@ -7,13 +7,8 @@ from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.readers.datasets.dataset import clips
 from getagrip.readers.datasets.dexycb.dexycb_clips import DexYcb
-from helpers.dexycb_files import (
-    FRAMES,
-    LOST,
-    TAKEN,
-)
-from helpers.dexycb_sequences import write_extrinsics
-from helpers.paths import DATA, needs
+from helpers.dexycb_files import FRAMES, LOST, TAKEN, write_extrinsics
+from helpers.environment import DATA, needs
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from getagrip.errors import InputError
 from getagrip.readers.datasets.epic.epic_images import FrameArchive, Frames
-from helpers.command_line import Run
+from helpers.environment import Run
 from helpers.epic_files import NAME, V, import_epic
 
 SUBJECT = V.partition("_")[0]

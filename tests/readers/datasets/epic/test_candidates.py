@@ -10,10 +10,8 @@ from typing import Any
 import pytest
 
 from getagrip.readers.datasets.epic import epic_tables, visor
-from helpers.command_line import Run
-from helpers.epic_files import V, write_table
-from helpers.paths import DATA, needs
-from helpers.visor_files import box, hand, sparse, thing, write, write_mapping
+from helpers.environment import DATA, Run, needs
+from helpers.epic_files import V, box, hand, sparse, thing, write, write_mapping, write_table
 
 EPIC = DATA / "epic"
 TABLE = EPIC / "epicgrasps_2431.csv"

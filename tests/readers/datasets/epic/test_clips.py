@@ -20,10 +20,9 @@ from getagrip.io import arrays
 from getagrip.readers.datasets.epic import epic_clips, epic_tables
 from getagrip.readers.datasets.epic.epic_images import Frames
 from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
-from helpers.command_line import Run
+from helpers.environment import DATA, Run, needs
 from helpers.epic_files import NAME, V, hand_arrays, import_epic, row, write_table
 from helpers.folders import FullDisk
-from helpers.paths import DATA, needs
 
 
 @pytest.mark.slow

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from getagrip.errors import InputError
 from getagrip.readers.datasets.epic import epic_tables
+from helpers.environment import DATA, needs
 from helpers.epic_files import V, row, write_table
-from helpers.paths import DATA, needs
 
 EPIC = DATA / "epic"
 TABLE, ERRATA = EPIC / "epicgrasps_2431.csv", EPIC / "epicgrasps_2431_errata.csv"

@@ -17,8 +17,8 @@ from getagrip.clip import Clip
 from getagrip.geometry import se3
 from getagrip.readers.datasets.epic import epic_grasps, epic_images, epic_tables
 from getagrip.readers.datasets.epic.epic_grasps import EpicGrasps
+from helpers.environment import DATA, needs
 from helpers.epic_files import V, write_epic, write_timeline
-from helpers.paths import DATA, needs
 
 EPIC = DATA / "epic"
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from getagrip.errors import InputError
 from getagrip.readers import streams
 from getagrip.readers.datasets.epic import visor
-from helpers.visor_files import box, dense, hand, sparse, thing, write, write_mapping
+from helpers.epic_files import box, dense, hand, sparse, thing, write, write_mapping
 
 V = "P01_101"
 

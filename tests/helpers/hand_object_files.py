@@ -1,0 +1,208 @@
+"""HOI4D's folder with one sequence, of known poses.
+
+HO-3D's folder with two sequences, of known poses.
+
+A synthetic profile of a UmeTrack hand.
+
+HOT3D's folder with one recording, of known poses.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import pickle
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from getagrip.geometry import se3
+from getagrip.hands import generic
+from getagrip.hands.fit_joints import JOINT_ORDERS
+from getagrip.hands.mano import load
+from helpers.held_ball import BETAS, FRAMES, ball, bent, global_motion, motion, posed
+
+HELD = "025_mug"
+LOST = 29
+"""In this frame nothing is known."""
+HO3D_K = np.array([[614.6, 0.0, 320.1], [0.0, 614.5, 241.4], [0.0, 0.0, 1.0]])
+FLIP = np.diag([1.0, -1.0, -1.0])
+
+
+def save(path: Path, content: Any) -> None:
+    """As HO-3D's files are: a pickle of Python 2."""
+    path.write_bytes(pickle.dumps(content, protocol=2).replace(b"cnumpy._core.", b"cnumpy.core."))
+
+
+def write_ho3d(folder: Path, mano: Path) -> Path:
+    """HO-3D's folder, with one sequence of the train split and one of the evaluation split."""
+    root = folder / "HO3D"
+    T_cam_hand, T_cam_obj = motion()
+    joints = se3.transform(T_cam_hand, generic.load("right").with_shape().with_pose(bent()).joints)
+    hand = load(mano / "MANO_RIGHT.pkl", "right")
+    F = se3.rigid(FLIP)
+    rot, trans = global_motion(F @ T_cam_hand, hand.model.with_shape(BETAS).joints[0])
+    T_gl_obj = F @ T_cam_obj
+    for split, sequence in (("train", "ABF12"), ("evaluation", "SM1")):
+        meta = root / split / sequence / "meta"
+        meta.mkdir(parents=True)
+        for n in range(FRAMES):
+            in_order = np.empty((21, 3))
+            in_order[JOINT_ORDERS["ho3d"]] = joints[n]
+            content: dict[str, Any] = {
+                "objRot": se3.log_so3(T_gl_obj[n, :3, :3]).reshape(3, 1),
+                "objTrans": T_gl_obj[n, :3, 3],
+                "objName": HELD,
+                "objLabel": 1,
+                "objCorners3DRest": np.zeros((8, 3)),
+                "camMat": HO3D_K,
+                "camIDList": ["0", "1"],
+            }
+            if split == "train":
+                content |= {
+                    "handPose": np.concatenate([rot[n], bent()]),
+                    "handTrans": trans[n],
+                    "handBeta": BETAS,
+                    "handJoints3D": in_order @ FLIP,
+                }
+            else:
+                content |= {"handJoints3D": joints[n, 0] @ FLIP, "handBoundingBox": [0, 0, 100, 100]}
+            if n == LOST:
+                content |= dict.fromkeys(("objRot", "objTrans", "handPose", "handTrans", "handJoints3D"))
+            save(meta / f"{n:04d}.pkl", content)
+    (root / "models" / HELD).mkdir(parents=True)
+    ball(0.03).export(root / "models" / HELD / "textured_simple.obj")
+    return root
+
+
+INDEX = "ZY20210800001/H1/C5/N11/S125/s03/T1"
+NAME = f"H1--{INDEX.replace('/', '-')}--Bottle--right"
+K = np.array([[1000.0, 0.0, 959.5], [0.0, 1010.0, 539.5], [0.0, 0.0, 1.0]])
+RED, GREEN, BROWN = (128, 0, 0), (0, 128, 0), (128, 128, 0)
+
+
+def write_hoi4d(folder: Path, mano: Path) -> Path:
+    """HOI4D's folder, with one sequence, of the right hand."""
+    root = folder / "HOI4D"
+    T_cam_hand, T_cam_obj = motion()
+    notes = root / "HOI4D_annotations" / INDEX
+    (notes / "objpose").mkdir(parents=True)
+    hands = root / "handpose" / "refinehandpose_right" / INDEX
+    hands.mkdir(parents=True)
+    _, at_rest = posed(mano, "right")
+    rot, trans = global_motion(T_cam_hand, at_rest.joints[0])
+    for n in range(FRAMES):
+        angles = Rotation.from_matrix(T_cam_obj[n, :3, :3]).as_euler("XYZ")
+        entry = {
+            "label": "bottle",
+            "center": dict(zip("xyz", T_cam_obj[n, :3, 3].tolist(), strict=True)),
+            "rotation": dict(zip("xyz", angles.tolist(), strict=True)),
+            "dimensions": {"length": 0.06, "width": 0.06, "height": 0.07},
+        }
+        key = "dataList" if n % 2 else "objects"  # both occur
+        (notes / "objpose" / f"{n}.json").write_text(json.dumps({"info": "x", key: [entry, {}]}))
+        hand = {
+            "poseCoeff": np.concatenate([rot[n], bent()]).astype(np.float32),
+            "beta": BETAS.astype(np.float32),
+            "trans": trans[n].astype(np.float32),
+            "kps2D": np.zeros((21, 2)),
+        }
+        (hands / f"{n}.pickle").write_bytes(pickle.dumps(hand, protocol=3))
+    cads = root / "HOI4D_CAD_Model_for_release" / "rigid" / "Bottle"
+    cads.mkdir(parents=True)
+    ball(0.03).export(cads / "011.obj")
+    camera = root / "camera_params" / "ZY20210800001"
+    camera.mkdir(parents=True)
+    np.save(camera / "intrin.npy", K)
+    return root
+
+
+def write_labels(root: Path, kind: str = "mask") -> None:
+    """Labels of three rectangles: the object, the right hand, another object."""
+    folder = root / "HOI4D_annotations" / INDEX / "2Dseg" / kind
+    folder.mkdir(parents=True)
+    image = np.zeros((1080, 1920, 3), np.uint8)
+    image[100:201, 300:400] = RED
+    image[300:400, 300:400] = GREEN
+    image[500:600, 300:401] = BROWN
+    content = cv2.imencode(".png", image[..., ::-1])[1].tobytes()
+    for n in range(FRAMES):
+        (folder / f"{n:05d}.png").write_bytes(content)
+
+
+def profile() -> dict[str, Any]:
+    """An open ball with random hinges and weights, lengths as in a hand [mm]."""
+    rng = np.random.default_rng(3)
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=60.0)
+    faces = ball.faces[~(ball.faces == 0).any(axis=1)]
+    used, faces = np.unique(faces, return_inverse=True)
+    weights = rng.dirichlet(0.2 * np.ones(17), len(used))
+    axes = rng.normal(size=(22, 3))
+    return {
+        "hand_model": {
+            "mesh_vertices": (ball.vertices[used] + [60.0, 0.0, 0.0]).tolist(),
+            "mesh_triangles": faces.reshape(-1, 3).tolist(),
+            "dense_bone_weights": weights.tolist(),
+            "joint_rest_positions": rng.uniform(-40, 40, (22, 3)).tolist(),
+            "joint_rotation_axes": (axes / np.linalg.norm(axes, axis=1, keepdims=True)).tolist(),
+            "landmark_rest_positions": rng.uniform(-80, 80, (21, 3)).tolist(),
+        }
+    }
+
+
+HOT3D_NAME = "P0000_0123abcd"
+HOLD = "P0000--0123abcd--red_box--right"
+HOT3D_FRAMES = 16
+STEP = 33_333_333
+
+
+def write_hot3d(folder):
+    """A right hand (a ball) that touches a box in frames 2 to 13, seen by a Quest; a second object has no mesh."""
+    sequence = folder / "sequences" / HOT3D_NAME
+    sequence.mkdir(parents=True)
+    times = 10**12 + STEP * np.arange(HOT3D_FRAMES)
+
+    def poses(uid, offsets):
+        return [
+            [uid, t + 90_000, *x, 1, 0, 0, 0]
+            for t, x in zip(times, np.broadcast_to(offsets, (HOT3D_FRAMES, 3)), strict=True)
+        ]
+
+    header = ["object_uid", "timestamp[ns]", "t_wo_x[m]", "t_wo_y[m]", "t_wo_z[m]", "q_wo_w", "q_wo_x", "q_wo_y"]
+    header += ["q_wo_z"]
+    # The hand's ball reaches from its wrist 12 cm to -x; the box begins there, but for the first and last frames.
+    apart = np.where((np.arange(HOT3D_FRAMES) < 2) | (np.arange(HOT3D_FRAMES) > 13), 0.02, 0.0)
+    box = np.stack([-0.122 - 0.04 - apart, np.zeros(HOT3D_FRAMES), np.full(HOT3D_FRAMES, 0.6)], axis=1)
+    tables = {
+        "headset_trajectory.csv": [[1, t, 0, 0, 0, 1, 0, 0, 0] for t in sorted([*times, *(times + 90_000)])],
+        "dynamic_objects.csv": [*poses("111", box), *poses("222", [1.0, 0.0, 1.0])],
+    }
+    for name, rows in tables.items():
+        with (sequence / name).open("w", newline="") as file:
+            csv.writer(file).writerows([header, *rows])
+    wrist = {"q_wxyz": [1, 0, 0, 0], "t_xyz": [0.0, 0.0, 0.6]}
+    hands = {"1": {"wrist_xform": wrist, "joint_angles": [0.0] * 22}}
+    lines = [json.dumps({"timestamp_ns": int(t), "hand_poses": hands}) for t in times]
+    (sequence / "umetrack_hand_pose_trajectory.jsonl").write_text("\n".join(lines))
+    (sequence / "umetrack_hand_user_profile.json").write_text(json.dumps(profile()))
+    small, large = (
+        {
+            "T_Device_Camera": {"quaternion_wxyz": [1, 0, 0, 0], "translation_xyz": [0, 0, 0]},
+            "imageHeight": height,
+            "imageWidth": 640,
+            "label": "camera-slam-left",
+            "projectionParams": [300.0, 300.0, 319.5, height / 2 - 0.5, *[0.0] * 12],
+        }
+        for height in (480, 640)
+    )
+    (sequence / "camera_models.json").write_text(json.dumps([small, large]))
+    assets = folder / "assets"
+    assets.mkdir()
+    instances = {"111": {"instance_name": "red_box"}, "222": {"instance_name": "ghost"}}
+    (assets / "instance.json").write_text(json.dumps(instances))
+    trimesh.creation.box(extents=[0.08, 0.1, 0.12]).export(assets / "111.glb")
+    return folder
