@@ -1,22 +1,34 @@
-"""From a clip to the object in every frame: timelines by all of their segments, other clips as one stable grasp.
+"""From a clip to the object in the hand in every frame: the front room, in which every reconstruction can be followed.
 
-The steps of one stable grasp (paper, Sec. 3.3), by whichever method: from a clip to the object in the hand.
+``reconstruct`` repairs the hand, then takes the steps of a ``Pipeline``: of a ``StableGrasp``, the paper's problem
+(Sec. 3.3), or of a ``Timeline``, whose segments are solved together. docs/reading.md walks through both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import ClassVar, Protocol
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from getagrip.checks import INPUT_CHECKS, Evidence, compute_features, input_checks, result_checks, run_checks
 from getagrip.checks.timeline_checks import GRASP_CHECKS
-from getagrip.clip import Clip, Masks
-from getagrip.errors import GetagripError, InputError, check_arguments
+from getagrip.clip import Clip, Masks, check_clip, check_masks, with_masks
+from getagrip.compiling import COMPILATION_MESSAGE, compile_once
+from getagrip.errors import GetagripError, InputError, UsageError, check_arguments
+from getagrip.fitting.hand.hand_size import restore_object_size, with_hand_size
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
-from getagrip.fitting.pipeline import Clock, FrameSolutions, Judgement, PipelineSteps, RepairedInput, run_pipeline
+from getagrip.fitting.pipeline import (
+    Clock,
+    FrameSolutions,
+    Judgement,
+    RepairedInput,
+    make_reconstruction,
+    repair_input,
+)
 from getagrip.fitting.problem import MethodResult, Problem, prepare_problem
 from getagrip.fitting.solver.solve import minimise
 from getagrip.fitting.stages.confidence import hand_alternatives, probabilities, solved_of
@@ -25,7 +37,6 @@ from getagrip.fitting.stages.robust_masks import fit_without_outliers, image_iou
 from getagrip.geometry import se3
 from getagrip.io.terminal import Progressed, progress_callback
 from getagrip.result import Reconstruction, Status
-from getagrip.result.findings import Finding
 from getagrip.timelines.joint import Chain, choose_hypotheses, fill_all_frames
 from getagrip.timelines.observations import TimelineInputs
 from getagrip.timelines.timeline_confidence import TimelineAnswer, judge_timeline
@@ -35,127 +46,25 @@ CONVERGENCE_CHECK_STAGE = 256, 8
 """Resolution [px] and iterations of the usual search's last stage: as many again are made where it was cut off."""
 
 
-@dataclass(frozen=True)
-class PreparedGrasp:
-    """A grasp, prepared for the search.
+class Pipeline(Protocol):
+    """The steps of a reconstruction after the hand's repair, in their order; construction prepares the search.
 
-    Attributes:
-        problem: the clip at the frames that are used.
-        clip: the same frames, with the hand before it was corrected.
-        checks: what the checks of the input have measured, by name.
-        findings: what is unusual about the input.
+    Search and fit call the clock with the name of every stage that has ended, ``stages`` times in all.
     """
 
-    source: RepairedInput
-    problem: Problem
-    clip: Clip
-    checks: dict[str, float]
-    findings: tuple[Finding, ...]
+    stages: ClassVar[int]
 
+    def __init__(self, source: RepairedInput) -> None:
+        """Prepare the search. Raises ``InputError`` for what no clip can be."""
 
-@dataclass(frozen=True)
-class MethodSolutions:
-    """The solutions of a method.
+    def search(self, clock: Clock) -> None:
+        """Find solutions at some of the frames. Raises ``GetagripError`` where nothing can be rendered."""
 
-    Attributes:
-        problem: the clip at the frames without outlier masks, with the fitted mesh.
-        result: the solutions.
-        sampled: the solutions at the problem's frames.
-    """
+    def fit_all_frames(self, clock: Clock) -> FrameSolutions:
+        """Extend the best solutions to all frames."""
 
-    problem: Problem
-    result: MethodResult
-    sampled: SolutionTrack
-
-
-def _prepare_grasp(source: RepairedInput) -> PreparedGrasp:
-    """Choose frames, correct the hand, crop the masks; check the input."""
-    problem = prepare_problem(source.clip, source.options, source.threads)
-    index = source.clip.index_of(problem.clip.frames)
-    clip = replace(problem.clip, hand=source.clip.hand.take(index))
-    checks, findings = run_checks(input_checks(), Evidence(clip, problem.input_masks, glitches=source.glitches))
-    return PreparedGrasp(source, problem, clip, checks, findings)
-
-
-def _search_grasp(prepared: PreparedGrasp, clock: Clock) -> MethodSolutions:
-    """Run the method in the frames without outlier masks.
-
-    Where it fails, the error also says what was unusual about its inputs.
-    """
-    problem = prepared.problem
-    method = METHODS[problem.options.method]
-    try:
-        if method.checks_masks and problem.options.masks == "checked":
-            problem, found = fit_without_outliers(problem, lambda some: method.fit(some, clock))
-        else:
-            found = method.fit(problem, clock)
-            problem = problem.as_found(found)
-    except InputError:
-        raise
-    except GetagripError as error:
-        raise GetagripError("; ".join(map(str, (error, *prepared.findings)))) from error
-    sampled = at_sampled_frames(problem, found)
-    clock("finish")
-    return MethodSolutions(problem, found, sampled)
-
-
-def unconverged_motion(problem: Problem, found: MethodResult) -> float:
-    """Compute how far further iterations would move points of the object's surface, root mean square over frames [m].
-
-    The result stays as it is: only going on tells whether the search stopped early. 0 where it did not stop at the
-    limit; NaN for a method that has no motion of its own.
-    """
-    if found.status is not Status.LIMIT:
-        return 0.0
-    if found.motion is None or found.energy_of is None:
-        return float("nan")
-    terms, motion = (
-        found.energy_of(problem)(CONVERGENCE_CHECK_STAGE[0], np.arange(len(problem.clip))),
-        found.motion.take(np.zeros(1, int)),
-    )
-    after = minimise(motion, terms, problem.clip.hand.T_cam_hand, CONVERGENCE_CHECK_STAGE[1]).motion.poses()
-    first, then = (
-        poses.scale[0] * problem.surface.points @ np.swapaxes(poses.R[0], -1, -2) + poses.centre[0][:, None]
-        for poses in (found.poses, after)
-    )
-    return float(np.sqrt(np.mean(np.sum((then - first) ** 2, axis=-1))))
-
-
-def _fit_all_frames(prepared: PreparedGrasp, found: MethodSolutions, clock: Clock) -> FrameSolutions:
-    """Extend the solutions to all frames that the options ask for."""
-    source, result, problem = prepared.source, found.result, found.problem
-    clip = source.clip if problem.options.every_frame else prepared.clip
-    track = extend_to_every_frame(clip.warped(result.warp), problem, result, found.sampled)
-    clock("every frame")
-    return FrameSolutions(
-        track=track,
-        scale=result.poses.scale,
-        energy=result.energy,
-        next_best=float(result.energy[1]) if len(result.energy) > 1 else float("inf"),
-        status=result.status,
-        terms=result.terms,
-        axis=None if result.axis is None or track.angle is None else replace(result.axis, angle=track.angle),
-        warp=result.warp,
-        T_cam_other_hand=None,
-        notes=problem.notes,
-        hand=result.hand,
-        cut_off=unconverged_motion(problem, result),
-    )
-
-
-def _judge_grasp(prepared: PreparedGrasp, found: MethodSolutions, answer: FrameSolutions) -> Judgement:
-    """Run the checks, and compute signs and probabilities."""
-    source = prepared.source
-    solved = solved_of(source.clip, found.problem, found.result, found.sampled, answer.track)
-    checks, after = run_checks(result_checks(), solved)
-    findings, signs = (*prepared.findings, *after), compute_features(solved)
-    hand, terms = found.result.hand, {*found.result.terms}
-    terms = terms if hand is None else terms | {*hand.energy}
-    right = probabilities(source.clip, source.options, signs, findings, terms)
-    return Judgement(prepared.checks | checks, findings, signs, right, hand_alternatives(found.problem, found.result))
-
-
-GRASP_STEPS = PipelineSteps(_prepare_grasp, _search_grasp, _fit_all_frames, _judge_grasp, stages=8)
+    def judge(self) -> Judgement:
+        """Judge the answer without ground truth."""
 
 
 @check_arguments
@@ -195,53 +104,196 @@ def reconstruct(
             two frames, or no segment of a timeline can be solved.
         GetagripError: the object is out of view in every hypothesis, so there is nothing to compare with the masks.
     """
-    options = options or Options()
+    if threads < 1:
+        raise UsageError(f"threads must be 1 or more (got {threads})")
+    options, given = options or Options(), clip
     with progress_callback(progress, clip.name) as on_stage:
-        if clip.segments:
-            return run_pipeline(TIMELINE_STEPS, clip, masks, options, on_stage, threads).made_of(clip, masks)
-        return run_pipeline(GRASP_STEPS, clip, masks, options, on_stage, threads).made_of(clip, masks)
+        check_clip(clip)
+        if masks is not None:
+            check_masks(clip, masks)
+            clip = with_masks(clip, masks)
+        clip = with_hand_size(clip, options)
+        compile_once(lambda: on_stage and on_stage(COMPILATION_MESSAGE, 0.0))
+        kind: type[Pipeline] = Timeline if clip.segments else StableGrasp
+        with threadpool_limits(
+            1, user_api="blas"
+        ):  # small matrices: threads that wait for busy cores cost ten times as much
+            clock = Clock(on_stage, kind.stages)
+            source = repair_input(clip, options, threads)
+            pipeline = kind(source)
+            clock("prepare")
+            pipeline.search(clock)
+            answer = pipeline.fit_all_frames(clock)
+            judgement = pipeline.judge()
+            clock("check of the result")
+        result = make_reconstruction(source, answer, judgement, clock.seconds())
+        return restore_object_size(result, source.original).made_of(given, masks)
 
 
-def _search_hypotheses(footage: TimelineInputs, clock: Clock) -> Chain:
-    """Search for the hypotheses of all segments that are best together.
+class StableGrasp:
+    """One stable grasp (paper, Sec. 3.3), by whichever method.
 
-    Where there are none, the error also says what is unusual about the inputs.
+    Attributes:
+        source: the clip, its hand repaired.
+        problem: the clip at the frames that are used; after the search without outlier masks, with the fitted mesh.
+        clip: the same frames as prepared, with the hand before it was corrected.
+        checks: what the checks of the input have measured, by name.
+        findings: what is unusual about the input.
+        found: the method's solutions.
+        sampled: these solutions at the problem's frames.
+        answer: the best of them in every frame.
     """
-    try:
-        return choose_hypotheses(footage, support=True, on_stage=clock)
-    except GetagripError as error:
-        of_clip = [check for check in INPUT_CHECKS.working().values() if check.name not in GRASP_CHECKS]
-        original = footage.source.original
-        clip = replace(footage.clip, hand=original.hand, world=original.world)
-        serious = [finding for finding in run_checks(of_clip, Evidence(clip, footage.masks))[1] if finding.serious]
-        if not serious:
+
+    stages: ClassVar[int] = 8
+    found: MethodResult
+    sampled: SolutionTrack
+    answer: FrameSolutions
+
+    def __init__(self, source: RepairedInput) -> None:
+        """Choose frames, correct the hand, crop the masks; check the input."""
+        self.source = source
+        self.problem = prepare_problem(source.clip, source.options, source.threads)
+        index = source.clip.index_of(self.problem.clip.frames)
+        self.clip = replace(self.problem.clip, hand=source.clip.hand.take(index))
+        evidence = Evidence(self.clip, self.problem.input_masks, glitches=source.glitches)
+        self.checks, self.findings = run_checks(input_checks(), evidence)
+
+    def search(self, clock: Clock) -> None:
+        """Run the method in the frames without outlier masks.
+
+        Where it fails, the error also says what was unusual about its inputs.
+        """
+        method, problem = METHODS[self.problem.options.method], self.problem
+        try:
+            if method.checks_masks and problem.options.masks == "checked":
+                self.problem, self.found = fit_without_outliers(problem, lambda some: method.fit(some, clock))
+            else:
+                self.found = method.fit(problem, clock)
+                self.problem = problem.as_found(self.found)
+        except InputError:
             raise
-        raise GetagripError("; ".join(map(str, (error, *serious)))) from error
+        except GetagripError as error:
+            raise GetagripError("; ".join(map(str, (error, *self.findings)))) from error
+        self.sampled = at_sampled_frames(self.problem, self.found)
+        clock("finish")
+
+    def fit_all_frames(self, clock: Clock) -> FrameSolutions:
+        """Extend the solutions to all frames that the options ask for."""
+        problem, found = self.problem, self.found
+        clip = self.source.clip if problem.options.every_frame else self.clip
+        track = extend_to_every_frame(clip.warped(found.warp), problem, found, self.sampled)
+        clock("every frame")
+        self.answer = FrameSolutions(
+            track=track,
+            scale=found.poses.scale,
+            energy=found.energy,
+            next_best=float(found.energy[1]) if len(found.energy) > 1 else float("inf"),
+            status=found.status,
+            terms=found.terms,
+            axis=None if found.axis is None or track.angle is None else replace(found.axis, angle=track.angle),
+            warp=found.warp,
+            T_cam_other_hand=None,
+            notes=problem.notes,
+            hand=found.hand,
+            cut_off=unconverged_motion(problem, found),
+        )
+        return self.answer
+
+    def judge(self) -> Judgement:
+        """Run the checks, and compute signs and probabilities."""
+        problem, found, source = self.problem, self.found, self.source
+        solved = solved_of(source.clip, problem, found, self.sampled, self.answer.track)
+        checks, after = run_checks(result_checks(), solved)
+        findings, signs = (*self.findings, *after), compute_features(solved)
+        terms = {*found.terms} if found.hand is None else {*found.terms, *found.hand.energy}
+        right = probabilities(source.clip, source.options, signs, findings, terms)
+        return Judgement(self.checks | checks, findings, signs, right, hand_alternatives(problem, found))
 
 
-def _fill_timeline_frames(footage: TimelineInputs, chain: Chain, clock: Clock) -> TimelineAnswer:
-    """Fill the motion over all segments and between them."""
-    motion, clip = fill_all_frames(footage, chain, clock), footage.clip
-    T_cam_hand = motion.T_cam_hand
-    T_hand_obj = se3.inverse(T_cam_hand) @ motion.T_cam_obj
-    iou = np.where(footage.shown, image_iou(clip.with_hand_at(T_cam_hand), footage.masks, T_hand_obj, 1.0), np.nan)
-    return TimelineAnswer(
-        track=SolutionTrack(clip.frames, tuple(motion.kind), T_cam_hand, T_hand_obj[None], None, iou),
-        scale=np.array([footage.scale]),
-        energy=np.array([chain.energy]),
-        next_best=chain.next_best,
-        status=Status.JOINT,
-        terms={},
-        axis=None,
-        warp=None,
-        T_cam_other_hand=motion.T_cam_other_hand,
-        notes=(*_notes_of_grasps(clip, motion, footage.some.notes), *footage.some.notes),
-        motion=motion,
+def unconverged_motion(problem: Problem, found: MethodResult) -> float:
+    """Compute how far further iterations would move points of the object's surface, root mean square over frames [m].
+
+    The result stays as it is: only going on tells whether the search stopped early. 0 where it did not stop at the
+    limit; NaN for a method that has no motion of its own.
+    """
+    if found.status is not Status.LIMIT:
+        return 0.0
+    if found.motion is None or found.energy_of is None:
+        return float("nan")
+    terms, motion = (
+        found.energy_of(problem)(CONVERGENCE_CHECK_STAGE[0], np.arange(len(problem.clip))),
+        found.motion.take(np.zeros(1, int)),
     )
+    after = minimise(motion, terms, problem.clip.hand.T_cam_hand, CONVERGENCE_CHECK_STAGE[1]).motion.poses()
+    first, then = (
+        poses.scale[0] * problem.surface.points @ np.swapaxes(poses.R[0], -1, -2) + poses.centre[0][:, None]
+        for poses in (found.poses, after)
+    )
+    return float(np.sqrt(np.mean(np.sum((then - first) ** 2, axis=-1))))
+
+
+class Timeline:
+    """A clip of several segments, from table to hand and back: all of them together, with one scale.
+
+    Attributes:
+        inputs: the clip and its masks, and problems at any of its frames.
+        chain: the hypotheses of all segments that are best together.
+        answer: the motion over all segments and between them.
+    """
+
+    stages: ClassVar[int] = 7
+    chain: Chain
+    answer: TimelineAnswer
+
+    def __init__(self, source: RepairedInput) -> None:
+        """Read the masks that show the object."""
+        self.inputs = TimelineInputs.of(source)
+
+    def search(self, clock: Clock) -> None:
+        """Search for the hypotheses of all segments that are best together.
+
+        Where there are none, the error also says what is unusual about the inputs.
+        """
+        try:
+            self.chain = choose_hypotheses(self.inputs, support=True, on_stage=clock)
+        except GetagripError as error:
+            of_clip = [check for check in INPUT_CHECKS.working().values() if check.name not in GRASP_CHECKS]
+            original = self.inputs.source.original
+            clip = replace(self.inputs.clip, hand=original.hand, world=original.world)
+            serious = [found for found in run_checks(of_clip, Evidence(clip, self.inputs.masks))[1] if found.serious]
+            if not serious:
+                raise
+            raise GetagripError("; ".join(map(str, (error, *serious)))) from error
+
+    def fit_all_frames(self, clock: Clock) -> FrameSolutions:
+        """Fill the motion over all segments and between them."""
+        inputs, chain = self.inputs, self.chain
+        motion, clip = fill_all_frames(inputs, chain, clock), inputs.clip
+        T_cam_hand = motion.T_cam_hand
+        T_hand_obj = se3.inverse(T_cam_hand) @ motion.T_cam_obj
+        iou = np.where(inputs.shown, image_iou(clip.with_hand_at(T_cam_hand), inputs.masks, T_hand_obj, 1.0), np.nan)
+        self.answer = TimelineAnswer(
+            track=SolutionTrack(clip.frames, tuple(motion.kind), T_cam_hand, T_hand_obj[None], None, iou),
+            scale=np.array([inputs.scale]),
+            energy=np.array([chain.energy]),
+            next_best=chain.next_best,
+            status=Status.JOINT,
+            terms={},
+            axis=None,
+            warp=None,
+            T_cam_other_hand=motion.T_cam_other_hand,
+            notes=(*_notes_of_grasps(clip, motion, inputs.some.notes), *inputs.some.notes),
+            motion=motion,
+        )
+        return self.answer
+
+    def judge(self) -> Judgement:
+        """Judge the clip by its checks, and each of its grasps."""
+        return judge_timeline(self.inputs, self.chain, self.answer)
 
 
 def _notes_of_grasps(clip: Clip, motion: TimelineMotion, known: Sequence[str]) -> list[str]:
-    """Say what is to be known about grasps beyond what is ``known``, and which could not be solved as such."""
+    """List the notes of a timeline's grasps that are not ``known`` yet, and the grasps that could not be solved."""
     out, masks_only = list[str](), list[str]()
     for segment in (segment for segment in clip.segments if segment.state == "grasp"):
         track = motion.grasps.get(segment.first)
@@ -258,6 +310,3 @@ def _notes_of_grasps(clip: Clip, motion: TimelineMotion, known: Sequence[str]) -
         )
         masks_only.append(f"{name}: {why}, so it was tracked by its masks as in unstable contact, without an axis")
     return [*out, *masks_only]
-
-
-TIMELINE_STEPS = PipelineSteps(TimelineInputs.of, _search_hypotheses, _fill_timeline_frames, judge_timeline, stages=7)

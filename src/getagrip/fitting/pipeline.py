@@ -1,28 +1,19 @@
-"""The pipeline of every reconstruction: repair the hand, prepare, search, fit all frames, judge.
-
-A grasp by itself (``reconstruct``) and a timeline (``reconstruct``) take the same five steps. They differ
-in what is searched, and in what a result is judged by.
-"""
+"""Data that the steps of ``getagrip.reconstruct`` hand on: the repaired input, solutions, judgement, result."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from threadpoolctl import threadpool_limits
 
 from getagrip.checks import MIN_MEAN_IOU
 from getagrip.checks.calibration import Where
 from getagrip.checks.evidence import Glitches
-from getagrip.clip import Clip, Masks, check_clip, check_masks, with_masks
-from getagrip.compiling import COMPILATION_MESSAGE, compile_once
-from getagrip.errors import UsageError
-from getagrip.fitting.hand.hand_size import restore_object_size, with_hand_size
+from getagrip.clip import Clip
 from getagrip.fitting.hand.hand_solution import SolvedHand
 from getagrip.fitting.hand.refine_hand import repair_hand
 from getagrip.fitting.options import Options
@@ -55,10 +46,6 @@ CONVERGENCE_TOLERANCE_M = 1e-4
 """A fit whose object further iterations would move by no more has converged [m]."""
 CONVERGENCE_TOLERANCE_DIAMETERS = 0.02
 """Share of the diameter up to which a fit at the iteration limit is near its end: a pose is right within 0.1."""
-
-P = TypeVar("P")
-F = TypeVar("F")
-A = TypeVar("A", bound="FrameSolutions")
 
 
 @dataclass(frozen=True)
@@ -153,59 +140,6 @@ class Clock:
         return {"total": sum(self.spent.values()), **self.spent}
 
 
-@dataclass(frozen=True)
-class PipelineSteps(Generic[P, F, A]):
-    """The steps after the hand's repair. Search and fit call the clock with the name of every stage that has ended.
-
-    Attributes:
-        prepare: what the search needs. Raises ``InputError`` for what no clip can be.
-        search: the solutions at some of the frames. Raises ``GetagripError`` where nothing can be rendered.
-        fit_all_frames: the best of them in all frames.
-        judge: whether that is reliable.
-        stages: how many stages there are.
-    """
-
-    prepare: Callable[[RepairedInput], P]
-    search: Callable[[P, Clock], F]
-    fit_all_frames: Callable[[P, F, Clock], A]
-    judge: Callable[[P, F, A], Judgement]
-    stages: int
-
-
-def run_pipeline(
-    steps: PipelineSteps[P, F, A],
-    clip: Clip,
-    masks: Masks | None,
-    options: Options,
-    progress: Callable[[str, float], None] | None,
-    threads: int,
-) -> Reconstruction:
-    """Reconstruct a clip by these steps; arguments and errors are those of ``getagrip.reconstruct``.
-
-    BLAS runs on one thread meanwhile, in the whole process: the matrices are small, and with several threads that wait
-    for busy cores a clip takes ten times as long.
-    """
-    if threads < 1:
-        raise UsageError(f"threads must be 1 or more (got {threads})")
-    check_clip(clip)
-    if masks is not None:
-        check_masks(clip, masks)
-        clip = with_masks(clip, masks)
-    clip = with_hand_size(clip, options)
-    compile_once(lambda: progress and progress(COMPILATION_MESSAGE, 0.0))
-    with threadpool_limits(1, user_api="blas"):
-        clock = Clock(progress, steps.stages)
-        source = repair_input(clip, options, threads)
-        prepared = steps.prepare(source)
-        clock("prepare")
-        found = steps.search(prepared, clock)
-        answer = steps.fit_all_frames(prepared, found, clock)
-        judgement = steps.judge(prepared, found, answer)
-        clock("check of the result")
-    result = _make_reconstruction(source.original, source.notes, options, answer, judgement, clock.seconds())
-    return restore_object_size(result, source.original)
-
-
 def repair_input(clip: Clip, options: Options, threads: int = 1) -> RepairedInput:
     """Repair the hand's tracker glitches, and simplify a mesh that is too large."""
     light = clip.light()
@@ -213,15 +147,11 @@ def repair_input(clip: Clip, options: Options, threads: int = 1) -> RepairedInpu
     return RepairedInput(light, steady, options, threads, glitches, tuple(light.mesh.stands_for(clip.mesh, "fitted")))
 
 
-def _make_reconstruction(
-    clip: Clip,
-    notes: tuple[str, ...],
-    options: Options,
-    answer: FrameSolutions,
-    judged: Judgement,
-    seconds: dict[str, float],
+def make_reconstruction(
+    source: RepairedInput, answer: FrameSolutions, judged: Judgement, seconds: dict[str, float]
 ) -> Reconstruction:
     """Make the result, with all that is known about how it was found."""
+    clip, options = source.original, source.options
     track, energy, guesses = answer.track, float(answer.energy[0]), _list_assumptions(clip, answer)
     status, message = _final_status(answer, judged.failed, clip.mesh.diameter)
     return Reconstruction(
@@ -247,7 +177,7 @@ def _make_reconstruction(
         hand_energy={} if answer.hand is None else dict(answer.hand.energy),
         T_cam_other_hand=answer.T_cam_other_hand,
         warp=answer.warp,
-        notes=(*answer.notes, *guesses.values(), *notes),
+        notes=(*answer.notes, *guesses.values(), *source.notes),
         assumptions=assumptions(clip.provenance) | guesses,
         findings=judged.findings,
         checks=judged.checks,
