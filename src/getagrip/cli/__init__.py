@@ -43,6 +43,7 @@ from getagrip.cli.reproduce.arctic_grasps import ReproduceArctic
 from getagrip.cli.reproduce.epic_grasps import ReproduceEpic
 from getagrip.cli.segment import Segment
 from getagrip.cli.study import Stats, Study
+from getagrip.cli.synthesise import Synthesise
 from getagrip.errors import GetagripError, UsageError, escape_unprintable, unknown_choice_error
 from getagrip.io import processes
 from getagrip.io.options import PATH_REGISTRY, explain_all
@@ -69,7 +70,11 @@ def command_groups(imports: Any, figures: Any) -> dict[str, tuple[Any, ...]]:
     ``imports`` is what ``import`` takes, ``figures`` what ``figure`` takes.
     """
     return {
-        "Start": (Annotated[Demo, subcommand("demo")], Annotated[Doctor, subcommand("doctor")]),
+        "Start": (
+            Annotated[Demo, subcommand("demo")],
+            Annotated[Synthesise, subcommand("synthesise")],
+            Annotated[Doctor, subcommand("doctor")],
+        ),
         "Video": (
             Annotated[Draft, subcommand("draft")],
             Annotated[Label, subcommand("label")],
