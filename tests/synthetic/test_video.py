@@ -28,20 +28,20 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def pictures(scene: Scene) -> list[ndarray]:
-    return list(render_video(scene, SIZE, seed=3))
+    return list(render_video(scene, SIZE, seed=2))
 
 
 def test_there_is_a_picture_of_each_frame_and_a_seed_makes_them(scene: Scene, pictures: list[ndarray]) -> None:
     assert [(picture.shape, picture.dtype) for picture in pictures] == [((*SIZE[::-1], 3), np.uint8)] * 4
-    (again,) = islice(render_video(scene, SIZE, seed=3), 1)
-    (other,) = islice(render_video(scene, SIZE, seed=4), 1)
+    (again,) = islice(render_video(scene, SIZE, seed=2), 1)
+    (other,) = islice(render_video(scene, SIZE, seed=5), 1)
     assert (again == pictures[0]).all()
     assert np.abs(other.astype(int) - pictures[0]).mean() > 5.0
 
 
 def test_the_object_is_where_the_truth_has_it(scene: Scene, pictures: list[ndarray]) -> None:
     """Its colours, of its paint and its label, are in the true mask; the table's are where no body is."""
-    look, masks, bodies = VideoLook.draw(3), ground_truth_masks(scene), _Bodies.of(scene)
+    look, masks, bodies = VideoLook.draw(2), ground_truth_masks(scene), _Bodies.of(scene)
     for n, picture in enumerate(pictures):
         chroma = picture / np.maximum(picture.sum(axis=-1, keepdims=True), 1.0)
         paints = np.stack([tone / tone.sum() for tone in (look.paint, look.label)])
