@@ -1,4 +1,4 @@
-"""Results on pages: each ``{{ ... }}`` is filled in from ``results/`` when the site is built.
+"""Results on pages: behind each ``<!-- {{ ... }} -->`` is, until ``<!-- end -->``, what ``results/`` has.
 
     {{ TABLE.ROW.COLUMN }}                   a number; words behind it ask for more: "0" (decimals), "unit", "interval"
     {{ TABLE.ROW.COLUMN difference }}        its difference from the row that it is compared with; "absolute": unsigned
@@ -7,6 +7,7 @@
                                              behind it: "interval", "difference" (of pairs), "notes"
     {{ inputs TABLE METHOD... }}             how often methods are right with each kind of input, in hand and camera,
                                              and their errors; METHOD=TABLE: of one that has a table of its own
+    {{ headline TABLE METHOD METHOD=TABLE }} of these the four of README: masks and meshes exact, hands as they are and off
     {{ objects TABLE METHOD }}               how often a method is right with each object, its size, and the errors
     {{ methods COLUMN }}                     a column of all methods, by set of clips
     {{ leaderboard }}                        every method on every real motion, and what others printed
@@ -17,8 +18,8 @@
 
 Beside the share that is below 10 % of the diameter every table has the error in mm, where it was measured: a large
 object may be off by more. Keys of rows are their labels in small letters, with "-" for what is neither letter nor
-digit. An unknown key is a ``KeyError``. README is not built: there it is ``<!-- {{ ... }} -->text<!-- end -->``, and
-``python -m benchmarks.results`` writes the text.
+digit. An unknown key is a ``KeyError``. ``python -m benchmarks.results`` writes README and docs/*.md anew; a test fails
+where one is stale.
 """
 
 from __future__ import annotations
@@ -93,11 +94,11 @@ def fill(text: str) -> str:
 
 
 def fill_written(text: str) -> str:
-    """A page that is not built, with what is written behind each place brought up to date."""
+    """A page with what is written behind each place brought up to date. Raises ``KeyError`` for an unknown key."""
 
     def again(place: re.Match[str]) -> str:
         words = said(place[1])
-        apart = "\n" if words.startswith("|") else ""
+        apart = "\n" if words.startswith("|") or place[2].startswith("\n") else ""
         return f"<!-- {{{{ {place[1]} }}}} -->{apart}{words}{apart}<!-- end -->"
 
     return WRITTEN.sub(again, text)
@@ -224,6 +225,26 @@ def inputs(name: str, *methods: str) -> str:
     return "\n\n".join([grid(["input", "clips", *heads], lines), *captions])
 
 
+def headline(name: str, ours: str, theirs: str) -> str:
+    """How often our default and the paper's method are right in the hand, and how far off, by the errors of hands."""
+    method, _, of = theirs.partition("=")
+    tables = store.read(name), store.read(of)
+    lines, counts = [], ["", ""]
+    for setting in ("exact", "10 mm, 8°", "strong", "estimated"):
+        cells = []
+        for n, (table, one) in enumerate(zip(tables, (ours, method), strict=True)):
+            row = next(row for row in table.rows if row["label"] == f"{one}, {setting}")
+            counts[n] = str(row["clips"])
+            cells += [shown(table.column(key), row[key], ["0"] * (key != ERROR)) for key in (RIGHT, ERROR)]
+        lines.append([INPUTS[setting], *cells])
+    heads = [
+        f"{METHODS[one]}, {count} clips: {what}"
+        for one, count in zip((ours, method), counts, strict=True)
+        for what in ("right, %", "mm")
+    ]
+    return grid(["hands", *heads], lines)
+
+
 def objects(name: str, method: str) -> str:
     """How often a method is right with each object, the smallest first, of a table's numbers by clip."""
     clips = [line for line in store.read_clips(name) if line["method"] == method]
@@ -340,6 +361,7 @@ def made(name: str) -> str:
 DIRECTIVES: dict[str, Callable[..., str]] = {
     "table": table,
     "inputs": inputs,
+    "headline": headline,
     "objects": objects,
     "methods": methods,
     "leaderboard": leaderboard,

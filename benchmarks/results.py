@@ -1,9 +1,9 @@
-"""Put what benches measured into ``results/``, and its numbers into README: ``python -m benchmarks.results DIR...``.
+"""Put what benches measured into ``results/``, and its numbers into README and pages: ``python -m benchmarks.results DIR...``.
 
 Each folder is one that was given to ``getagrip bench --out``. A table is named like the folder and its file:
 ``out/dexycb/inputs.csv`` becomes ``results/dexycb-inputs.json``, and ``inputs-clips.csv``, its numbers by clip,
 ``results/clips/dexycb-inputs.csv.gz``. A table of the test objects must be of a run that ``test_runs`` notes. Without
-folders only README is brought up to date.
+folders only README and pages are brought up to date.
 ``python -m benchmarks.release`` measures all tables of a release before.
 """
 
@@ -37,7 +37,7 @@ ALL, CATEGORIES, CLIPS = "all", "-categories", "-clips"
 
 
 def main(folders: Sequence[Path]) -> None:
-    """Update tables and README."""
+    """Update tables, README and pages."""
     for folder in folders:
         tables = found(folder)
         for name, table in tables.items():
@@ -50,7 +50,8 @@ def main(folders: Sequence[Path]) -> None:
         for picture in folder.glob("*.png"):
             if (shown := PICTURES / f"results-{folder.resolve().name}-{picture.name}").exists():
                 shutil.copy(picture, shown)
-    README.write_text(cite.fill_written(README.read_text(encoding="utf-8")), encoding="utf-8")
+    for page in (README, *sorted((store.ROOT / "docs").glob("*.md"))):
+        page.write_text(cite.fill_written(page.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 def found(folder: Path) -> dict[str, Table]:

@@ -1,7 +1,7 @@
 """The documentation as a site: ``make docs`` builds it into ``site/`` from these pages, as they are.
 
 Nothing is fetched, neither when it is built nor when it is read. Pages are completed here: ``cli.md`` by the help of
-every command, ``api.md`` by the docstrings of the public names, and all by the results that they cite (``{{ ... }}``).
+every command, ``api.md`` by the docstrings of the public names.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import explorer  # noqa: E402
 import reference  # noqa: E402
 
 import getagrip  # noqa: E402
-from benchmarks import cite  # noqa: E402
 
 project = "getagrip"
 copyright = "the authors of getagrip, MIT licence"
@@ -49,8 +48,7 @@ html_show_sphinx = False
 
 
 def complete(_: Sphinx, page: str, text: list[str]) -> None:
-    """Fill in what is generated in the place of a page's marker, and the results that it cites."""
-    text[0] = cite.fill(text[0])
+    """Fill in what is generated in the place of a page's marker."""
     if explorer.MARKER in text[0]:
         text[0] = text[0].replace(explorer.MARKER, explorer.explorer())
     if page in reference.GENERATED:
