@@ -56,7 +56,7 @@ def test_readme_has_only_absolute_links_at_the_tag_once_it_is_built() -> None:
 def test_readme_has_no_link_that_leads_nowhere_where_the_repository_is_not_known() -> None:
     text = hook().for_index(README, "", "v0.1.0")
     assert [target for target in targets(text) if not target.startswith("https://")] == []
-    assert "The tutorial goes on" in text
+    assert "All results, also those of ten objects never seen" in text
 
 
 def test_the_repository_is_that_of_the_continuous_integration(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import cite
 from helpers.environment import ROOT
 from helpers.pages import PAGES
 
@@ -97,7 +98,9 @@ def docstrings(tree: ast.Module) -> Iterator[tuple[ast.AST, str, int]]:
     "page", [page for page in PAGES if page.stem not in {"glossary", "CHANGELOG"}], ids=lambda p: p.name
 )
 def test_pages_use_no_retired_word(page: Path) -> None:
-    assert [match[0] for match in RETIRED.finditer(page.read_text(encoding="utf-8"))] == []
+    """Words of tables are those of the commit that measured them."""
+    text = cite.WRITTEN.sub("", page.read_text(encoding="utf-8"))
+    assert [match[0] for match in RETIRED.finditer(text)] == []
 
 
 def test_the_next_release_uses_no_retired_word() -> None:

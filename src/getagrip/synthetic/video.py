@@ -131,7 +131,7 @@ class _Bodies:
         return self.scene.clip.world.T_world_cam[n]
 
     def vertices(self, moment: float) -> Float[ndarray, "V 3"]:
-        """Pose all vertices in the camera frame at a moment, in frames; between two frames they are blended."""
+        """Transform all vertices to the camera frame at a moment, in frames; between two frames they are blended."""
         n, last = int(np.floor(moment)), len(self.scene.clip) - 1
         first, second = (self._posed(min(max(k, 0), last)) for k in (n, n + 1))
         return np.asarray(first + (moment - n) * (second - first))
@@ -161,7 +161,7 @@ class _Lamp:
 
     @classmethod
     def over(cls, bodies: _Bodies, n: int) -> _Lamp:
-        """Hang the lamp over the bodies of a frame."""
+        """Place the lamp over the bodies of a frame."""
         direction = LAMP_DIRECTION / np.linalg.norm(LAMP_DIRECTION)
         vertices = se3.transform(bodies.T_world_cam(n), bodies.vertices(float(n)))
         middle = vertices.mean(axis=0)
