@@ -60,7 +60,7 @@ class VideoLook:
     paint: Float[ndarray, "3"]
     label: Float[ndarray, "3"]
     table: Float[ndarray, "3"]
-    waves: Float[ndarray, "8 4"]
+    waves: Float32[ndarray, "6 4"]
     """Directions and phases of the waves whose sum is the grain of all surfaces."""
 
     @classmethod
@@ -71,13 +71,17 @@ class VideoLook:
         skin, sleeve, paint, label, table = (np.array(tones[rng.integers(len(tones))]) for tones in tables)
         if np.abs(label - paint).sum() < 0.3:
             label = 1.0 - 0.8 * paint
-        waves = np.concatenate([rng.normal(size=(8, 3)), rng.uniform(0.0, 2.0 * np.pi, (8, 1))], axis=1)
+        waves = np.concatenate([rng.normal(size=(6, 3)), rng.uniform(0.0, 2.0 * np.pi, (6, 1))], axis=1).astype(
+            np.float32
+        )
         return cls(skin, sleeve, paint, label, table, waves)
 
-    def grain(self, points: Float[ndarray, "n 3"], period: float) -> Float[ndarray, "n"]:
+    def grain(self, points: Float[ndarray, "n 3"], period: float) -> Float32[ndarray, "n"]:
         """Compute a smooth pattern of waves about a ``period`` long [m], most of it in [-1, 1]."""
-        phase = points @ (self.waves[:, :3].T * (2.0 * np.pi / period)) + self.waves[:, 3]
-        return np.asarray(1.8 * np.sin(phase).mean(axis=1))
+        pattern, frequency = np.zeros(len(points), np.float32), np.float32(2.0 * np.pi / period)
+        for wave in self.waves:
+            pattern += np.sin(points.astype(np.float32) @ (frequency * wave[:3]) + wave[3])
+        return np.asarray(pattern / np.float32(np.sqrt(2.0 * len(self.waves))))
 
 
 @dataclass(frozen=True)
@@ -190,13 +194,14 @@ class _Lamp:
 
     def lit(self, points: Float[ndarray, "n 3"]) -> Float32[ndarray, "n"]:
         """Compute the share of the lamp that points of the world see."""
-        lit = np.zeros(len(points), np.float32)
+        lit, near = np.zeros(len(points), np.float32), points.astype(np.float32)
         for R, spot, depth in self.spots:
-            seen = (points - spot) @ R.T
-            uv = seen[:, :2] * (self.K[0, 0] / seen[:, 2:]) + SHADOW_MAP_PX / 2
-            column, row = np.clip(uv, 0, SHADOW_MAP_PX - 1).astype(np.int32).T
-            inside = ((uv >= 0.0) & (uv < SHADOW_MAP_PX)).all(axis=1)
-            lit += ~inside | (seen[:, 2] < depth[row, column] + SHADOW_BIAS_M)
+            seen = near @ R.T.astype(np.float32) - (R @ spot).astype(np.float32)
+            zoom = np.float32(self.K[0, 0]) / seen[:, 2]
+            u, v = (zoom * seen[:, axis] + np.float32(SHADOW_MAP_PX / 2) for axis in (0, 1))
+            column, row = (np.clip(x, 0, SHADOW_MAP_PX - 1).astype(np.int32) for x in (u, v))
+            inside = (u >= 0) & (u < SHADOW_MAP_PX) & (v >= 0) & (v < SHADOW_MAP_PX)
+            lit += ~inside | (seen[:, 2] < depth[row, column] + np.float32(SHADOW_BIAS_M))
         return lit / np.float32(N_LAMP_SPOTS)
 
 
