@@ -1,4 +1,4 @@
-"""The table of checks: what each measures, what is usual, and what to do about the rest."""
+"""The tables of checks: the measure, usual range, fault and advice of each."""
 
 from __future__ import annotations
 
@@ -11,7 +11,13 @@ from getagrip.clip import intrinsics, modalities
 from getagrip.io.plugins import PluginTable
 
 MIN_MEAN_IOU = 0.5
-"""A result whose mean IOU is below this explains nothing, however well the minimisation ended."""
+"""Mean IOU below which a result has failed, whatever the status of the minimisation."""
+CAMERA_ADVICE = "give the camera of these images: K is scaled and cropped as they are"
+CONTOUR_MISFIT_MESSAGE = "contours are {value} times as far from the masks' as they would be with the object's own mesh"
+MISFIT_ADVICE = (
+    "compare the contours in the report: mend masks that show a box, a shadow, the hand or only a part of the object; "
+    "where the masks are right, the mesh or the hand's pose is wrong"
+)
 
 
 def describe_outlier_masks(it: Evidence) -> str:
@@ -24,35 +30,27 @@ def describe_outlier_masks(it: Evidence) -> str:
 
 
 def preferred_scale(it: Evidence) -> str:
-    """Say which scale the energy prefers."""
+    """Name the scale that the energy prefers."""
     factor, gain = it.scale_check
-    return f"{factor:.2f} times its size would explain the masks and the hand better, by {format_percent(gain)} of the energy"
+    better = f"{factor:.2f} times its size would explain the masks and the hand better"
+    return f"{better}, by {format_percent(gain)} of the energy"
 
 
 def describe_regrasp(it: Evidence) -> str:
-    """Say where the object moves to another place in the hand."""
-    return f"the object jumps in the hand {results.describe_largest_step(it)}, by {format_diameter_share(results.regrasp_jump(it))} more than elsewhere"
+    """Name the frames of a regrasp."""
+    excess = format_diameter_share(results.regrasp_jump(it))
+    return f"the object jumps in the hand {results.describe_largest_step(it)}, by {excess} more than elsewhere"
 
 
 def describe_deformation(it: Evidence) -> str:
-    """Say how far the mesh was deformed."""
+    """Name the size of the mesh's deformation."""
     return f"to meet the masks the mesh was deformed by {it.deformed_mm:.1f} mm, so its shape is an assumption"
 
 
 def camera_mismatch(it: Evidence) -> str:
-    """Say which images the camera seems to belong to."""
+    """Name the images to which the camera seems to belong."""
     return intrinsics.camera_warning(it.clip.K, it.clip.size)
 
-
-CAMERA_ADVICE = "give the camera of these images: K is scaled and cropped as they are"
-
-
-CONTOUR_MISFIT_MESSAGE = "contours are {value} times as far from the masks' as they would be with the object's own mesh"
-MISFIT_ADVICE = (
-    "compare the contours in the report: mend masks that show a box, a shadow, the hand or only a part of the object; "
-    "where the masks are right, the mesh or the hand's pose is wrong"
-)
-"""Advice on contours that are off the masks."""
 
 _OWN_INPUT_CHECKS: tuple[Check, ...] = (
     Check(
@@ -176,7 +174,8 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
     ),
     Check(
         "mesh-much-deformed", lambda it: it.deformed, high=0.06, shown=format_diameter_share,
-        fault=describe_deformation, advice="check that it is the mesh of such an object; --given-mesh takes it as it is",
+        fault=describe_deformation,
+        advice="check that it is the mesh of such an object; --given-mesh takes it as it is",
         of_shape=True,
     ),
     Check(
@@ -189,7 +188,8 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
         advice="check that mesh and hand have their real sizes; an unknown size is \"scale\": \"free\"",
     ),
     Check(
-        "other-size", lambda it: it.scale_check[1], high=0.15, serious=False, shown=format_percent, fault=preferred_scale,
+        "other-size", lambda it: it.scale_check[1], high=0.15, serious=False, shown=format_percent,
+        fault=preferred_scale,
         advice="check that mesh and hand have their real sizes, and the hand its real distance",
     ),
     Check(
@@ -197,7 +197,8 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
         advice="if it is not one stable grasp, cut the clip there",
     ),
     Check(
-        "large-mask-misfit", results.consistent_contour_misfit, high=6.0, fault=CONTOUR_MISFIT_MESSAGE + ", and the masks agree with each other",
+        "large-mask-misfit", results.consistent_contour_misfit, high=6.0,
+        fault=CONTOUR_MISFIT_MESSAGE + ", and the masks agree with each other",
         advice=MISFIT_ADVICE, of_shape=True,
     ),
     Check(
@@ -262,11 +263,9 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
 
 
 def _check_table(kind: str, own: tuple[Check, ...]) -> PluginTable[Check]:
-    """Make the table of checks by name."""
     named = {check.name: check for check in own}
-    return PluginTable(
-        kind, named, "a Check of the same name", lambda name, it: isinstance(it, Check) and it.name == name
-    )
+    expected = "a Check of the same name"
+    return PluginTable(kind, named, expected, lambda name, it: isinstance(it, Check) and it.name == name)
 
 
 INPUT_CHECKS = _check_table("input_checks", _OWN_INPUT_CHECKS)
@@ -274,13 +273,11 @@ RESULT_CHECKS = _check_table("result_checks", _OWN_RESULT_CHECKS)
 
 
 def input_checks() -> tuple[Check, ...]:
-    """Return ``INPUT_CHECKS``, and those of each modality."""
+    """Return ``INPUT_CHECKS``, and the input checks of each modality."""
     return (*INPUT_CHECKS.working().values(), *(check for modality in modalities() for check in modality.input_checks))
 
 
 def result_checks() -> tuple[Check, ...]:
-    """Return ``RESULT_CHECKS``, and those of each modality."""
-    return (
-        *RESULT_CHECKS.working().values(),
-        *(check for modality in modalities() for check in modality.result_checks),
-    )
+    """Return ``RESULT_CHECKS``, and the result checks of each modality."""
+    own = RESULT_CHECKS.working().values()
+    return (*own, *(check for modality in modalities() for check in modality.result_checks))

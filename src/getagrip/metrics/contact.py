@@ -44,6 +44,20 @@ MAX_SCENE_COORDINATE_M = 1e5
 MAX_CACHED_SURFACES = 64
 """Most surfaces whose search trees are kept, of at most ``MAX_CACHED_SURFACE_FACES`` faces each: hands of the latest frames, 50 MB."""
 MAX_CACHED_SURFACE_FACES = 2000
+Side = Literal["object", "hand", "area"]
+CONTACT_SIDES: tuple[Side, ...] = get_args(Side)
+CONTACT_THRESHOLDS_M = (0.0, 0.005, 0.010)
+"""Contact thresholds in use [m]."""
+MAX_SIGNED_DISTANCE_M = 0.011
+"""Signed distances are exact up to here [m]; beyond, they may be infinite."""
+MAX_CONTACT_THRESHOLD_MM = 50.0
+"""Largest threshold that anybody may ask for [mm]."""
+N_AREA_SAMPLES = 2000
+_POINT_DESCRIPTIONS: dict[Side, str] = {
+    "object": "object vertices",
+    "hand": "hand vertices",
+    "area": "object points by area",
+}
 
 
 def signed_distance(
@@ -174,22 +188,6 @@ def close_holes(
     tips = np.moveaxis(tips, 0, -2)
     fan = np.stack([border[:, 1], border[:, 0], V + hole], axis=1)
     return np.concatenate([vertices, tips], axis=-2), np.concatenate([faces, fan])
-
-
-Side = Literal["object", "hand", "area"]
-CONTACT_SIDES: tuple[Side, ...] = get_args(Side)
-CONTACT_THRESHOLDS_M = (0.0, 0.005, 0.010)
-"""Contact thresholds in use [m]."""
-MAX_SIGNED_DISTANCE_M = 0.011
-"""Signed distances are exact up to here [m]; beyond, they may be infinite."""
-MAX_CONTACT_THRESHOLD_MM = 50.0
-"""Largest threshold that anybody may ask for [mm]."""
-N_AREA_SAMPLES = 2000
-_POINT_DESCRIPTIONS: dict[Side, str] = {
-    "object": "object vertices",
-    "hand": "hand vertices",
-    "area": "object points by area",
-}
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,23 @@ N_BALL_ROTATIONS = 500
 """Sampled rotations of a ball."""
 N_SYMMETRY_VERTICES = 500
 """Vertices that choose among symmetries; all of them count in the error that is reported."""
+VSD_TOLERANCES = np.arange(1, 11) * 0.05
+"""Tolerances of misalignment, in diameters; and the thresholds of the recall."""
+VSD_VISIBILITY_TOLERANCE_M = 0.015
+"""A surface is visible up to so far behind the scene's [m]."""
+Image = Float[ndarray, "h w"]
+MAX_AUC_ERROR_M = 0.10
+"""Largest threshold of the areas under curves [m]."""
+MSSD_THRESHOLDS = np.arange(1, 11) * 0.05
+"""BOP's thresholds of MSSD, in diameters."""
+MSPD_THRESHOLDS_PX = np.arange(1, 11) * 5.0
+"""BOP's thresholds of MSPD [px], in images 640 px wide."""
+N_RECALL_AXIS_ANGLES = 72
+"""Angles about a continuous axis."""
+N_RECALL_BALL_ROTATIONS = 500
+"""Rotations of a ball."""
+MAX_RECALL_VERTICES = 2000
+"""Most vertices whose nearest one is looked for."""
 
 
 @dataclass(frozen=True)
@@ -141,14 +158,6 @@ def _displacement_map(
     return A, P[:, :3, 3] - Q[:, :3, 3] - true.scale * Q[:, :3, :3] @ S[:3, 3]
 
 
-VSD_TOLERANCES = np.arange(1, 11) * 0.05
-"""Tolerances of misalignment, in diameters; and the thresholds of the recall."""
-VSD_VISIBILITY_TOLERANCE_M = 0.015
-"""A surface is visible up to so far behind the scene's [m]."""
-
-Image = Float[ndarray, "h w"]
-
-
 def ray_lengths(K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Image:
     """Return the lengths of rays to the plane at depth 1, through the centres of the pixels of a (width, height)."""
     x, y = ((np.arange(n) + 0.5 - K[axis, 2]) / K[axis, axis] for axis, n in enumerate(size))
@@ -178,20 +187,6 @@ def discrepancy(predicted: Image, true: Image, scene: Image, tolerances: Float[n
 def vsd_recall(errors: Float[ndarray, "k"]) -> float:
     """Compute the mean recall over tolerances and thresholds."""
     return float((errors[:, None] < VSD_TOLERANCES).mean())
-
-
-MAX_AUC_ERROR_M = 0.10
-"""Largest threshold of the areas under curves [m]."""
-MSSD_THRESHOLDS = np.arange(1, 11) * 0.05
-"""BOP's thresholds of MSSD, in diameters."""
-MSPD_THRESHOLDS_PX = np.arange(1, 11) * 5.0
-"""BOP's thresholds of MSPD [px], in images 640 px wide."""
-N_RECALL_AXIS_ANGLES = 72
-"""Angles about a continuous axis."""
-N_RECALL_BALL_ROTATIONS = 500
-"""Rotations of a ball."""
-MAX_RECALL_VERTICES = 2000
-"""Most vertices whose nearest one is looked for."""
 
 
 def nearest_add(predicted: Float[ndarray, "T V 3"], true: Float[ndarray, "T V 3"]) -> Float[ndarray, "T"]:

@@ -32,6 +32,26 @@ from getagrip.synthetic.objects import (
 )
 from getagrip.synthetic.scene_options import SceneOptions
 
+Split = Literal["train", "validation"]
+SYNTHETIC_PRESETS: dict[str, SceneOptions] = {
+    "clean": SceneOptions(),
+    "moderate": SceneOptions(**asdict(NOISE_PRESETS["moderate"])),
+    "strong": SceneOptions(**asdict(NOISE_PRESETS["strong"])),
+    "estimated": SceneOptions(**asdict(NOISE_PRESETS["estimated"])),
+    "wild": SceneOptions(**asdict(NOISE_PRESETS["moderate"]), cad="mean", vary=0.15, scale="free"),
+    "measured": SceneOptions(
+        **asdict(NOISE_PRESETS["moderate"]), cad="mean", vary=0.15, deform=0.03, scale="free", motion="measured"
+    ),
+}
+"""Levels of knowledge: everything; noisy hands and masks; and, as in the wild, only the mean shape, without its
+size."""
+FORMER_PRESET_NAMES = {"hamer": "moderate", "frankmocap": "strong"}
+"""Former names of presets."""
+SPLIT_SEEDS: dict[Split, range] = {"train": range(100_000, 100_005), "validation": range(200_000, 200_009)}
+"""Seeds of each category's clips."""
+OTHER_HAND_FRACTION = 0.3
+"""Share of clips in which the other hand comes in front."""
+
 
 def _rounded_block(
     low: tuple[float, float, float], high: tuple[float, float, float], power: float = 7.0, layers: int = 2
@@ -141,27 +161,6 @@ SHAPE_MAKERS: dict[str, Callable[[], Mesh]] = {
     **{make.__name__: make for make in (objects.ball, objects.banana, objects.tape, objects.umbrella)},
 }
 """All shapes that a clip can have by name: the categories, three more with a usual grasp (``hands.grips``), and others without."""
-
-Split = Literal["train", "validation"]
-
-SYNTHETIC_PRESETS: dict[str, SceneOptions] = {
-    "clean": SceneOptions(),
-    "moderate": SceneOptions(**asdict(NOISE_PRESETS["moderate"])),
-    "strong": SceneOptions(**asdict(NOISE_PRESETS["strong"])),
-    "estimated": SceneOptions(**asdict(NOISE_PRESETS["estimated"])),
-    "wild": SceneOptions(**asdict(NOISE_PRESETS["moderate"]), cad="mean", vary=0.15, scale="free"),
-    "measured": SceneOptions(
-        **asdict(NOISE_PRESETS["moderate"]), cad="mean", vary=0.15, deform=0.03, scale="free", motion="measured"
-    ),
-}
-"""Levels of knowledge: everything; noisy hands and masks; and, as in the wild, only the mean shape, without its
-size."""
-FORMER_PRESET_NAMES = {"hamer": "moderate", "frankmocap": "strong"}
-"""Former names of presets."""
-SPLIT_SEEDS: dict[Split, range] = {"train": range(100_000, 100_005), "validation": range(200_000, 200_009)}
-"""Seeds of each category's clips."""
-OTHER_HAND_FRACTION = 0.3
-"""Share of clips in which the other hand comes in front."""
 
 
 def clips_of_split(name: Split, preset: str = "clean") -> list[tuple[str, int, SceneOptions]]:

@@ -24,6 +24,16 @@ from getagrip.hands.generic import rest_fingers
 from getagrip.hands.grips import HOLD_FRAMES, Grip, frame_from_axes
 from getagrip.hands.model import KNUCKLES, PosedHand, ShapedHand, joint_transforms, skin
 
+CONTACT_DEPTH_M = 0.0005
+"""A segment touches when it is this deep in the object [m]: soft flesh."""
+MAX_HOLD_GAP_M = 0.002
+"""A finger no farther than this holds on to the object [m]."""
+FLESH_COMPLIANCE_M = 0.0015
+"""How deep flesh gives way [m]."""
+THUMB_ABDUCTION_ANGLES_DEG = (-10.0, 10.0, -20.0, 20.0, -30.0, 30.0)
+"""Range of the thumb's metacarpal to the side [deg]."""
+_FIST_ANGLES_DEG = ((80.0, 95.0, 60.0),) * 4
+
 
 class SignedDistance:
     """Signed distance to a mesh of closed parts, which may overlap, negative inside [m]."""
@@ -69,16 +79,6 @@ class MinSignedDistance:
         return np.asarray((known - way).min(axis=1))
 
 
-CONTACT_DEPTH_M = 0.0005
-"""A segment touches when it is this deep in the object [m]: soft flesh."""
-MAX_HOLD_GAP_M = 0.002
-"""A finger no farther than this holds on to the object [m]."""
-FLESH_COMPLIANCE_M = 0.0015
-"""How deep flesh gives way [m]."""
-THUMB_ABDUCTION_ANGLES_DEG = (-10.0, 10.0, -20.0, 20.0, -30.0, 30.0)
-"""Range of the thumb's metacarpal to the side [deg]."""
-
-
 def perturb_grip(grip: Grip, turn_deg: float, shift_mm: float, rng: np.random.Generator) -> Grip:
     """Turn a grip about a random axis and shift it, by these root mean squares."""
     R = se3.exp_so3(np.radians(turn_deg) / np.sqrt(3.0) * rng.normal(size=3))
@@ -102,7 +102,6 @@ class _Fingers:
     """Direction of the opposed thumb's pad."""
 
 
-_FIST_ANGLES_DEG = ((80.0, 95.0, 60.0),) * 4
 _FINGERS = {
     "palm": _Fingers(
         opened=((-35.0, -10.0, 0.0), *((-12.0, 4.0, 2.0),) * 4),

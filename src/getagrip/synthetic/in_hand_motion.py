@@ -40,6 +40,34 @@ from getagrip.stable_grasps.axis import (
 from getagrip.synthetic.grasp import MAX_HOLD_GAP_M, Grasper, MinSignedDistance
 from getagrip.synthetic.scene_options import SceneOptions
 
+MEASURED_MOTION_FILE = Path(__file__).with_name("measured_motion.json")
+"""Measured on real grasps by ``benchmarks/motion.py``, last in commit ea913fa."""
+MOTION_STATISTICS = {
+    name: MotionStatistics(**row)
+    for name, row in json.loads(MEASURED_MOTION_FILE.read_text(encoding="utf-8"))["statistics"].items()
+}
+"""How objects move in the hand in stable grasps, by dataset; SI units."""
+MAX_TURN_DEPTH_M = 0.0035
+"""How deep the object may turn into the open hand [m], where the turn is not measured."""
+N_CANDIDATE_AXES = 24
+"""Axes to choose from."""
+N_KEYFRAMES = 7
+"""Frames in which fingers are closed about a measured motion; between them they move evenly."""
+MAX_ABS_Z_SCORE = 2.0
+"""No drawn number is further from the mean than this, in standard deviations."""
+N_CORRECTION_ITERATIONS, N_SIZE_ONLY_ITERATIONS = 6, 2
+"""Rounds of correcting a drawn motion, and the number of last ones that correct its sizes only."""
+N_TRIED_AXES = 6
+"""Number of axes that are tried: those about which the object turns the least deep into the open hand."""
+MAX_MOTION_DRAWS, LOG_MEASURE_TOLERANCE = 40, 0.1
+"""Motions that are drawn until what is measured of one is as close as this to what is asked for, as logarithms."""
+MOTION_SIZE_MEASURES = ("turn", "rotation", "place")
+"""Measures that motions are scaled to, as ``Residual.sizes``."""
+MOTION_SELECTION_MEASURES = (*MOTION_SIZE_MEASURES, "drift", "pivot", "slip")
+"""Measures by which one of the motions is chosen."""
+MISSING_MEASURE_DEVIATION = 1.0
+"""Deviation of a motion without a measure, since it hardly turns."""
+
 
 def draw_egocentric_poses(
     T_hand_obj: Float[ndarray, "4 4"],
@@ -106,35 +134,6 @@ def rotate_about_point(
     """Turn by rotation vectors [rad] about a point, then shift [m]."""
     R = se3.exp_so3(turn)
     return se3.rigid(R, point + shift - R @ point)
-
-
-MEASURED_MOTION_FILE = Path(__file__).with_name("measured_motion.json")
-"""Measured on real grasps by ``benchmarks/motion.py``, last in commit ea913fa."""
-MOTION_STATISTICS = {
-    name: MotionStatistics(**row)
-    for name, row in json.loads(MEASURED_MOTION_FILE.read_text(encoding="utf-8"))["statistics"].items()
-}
-"""How objects move in the hand in stable grasps, by dataset; SI units."""
-MAX_TURN_DEPTH_M = 0.0035
-"""How deep the object may turn into the open hand [m], where the turn is not measured."""
-N_CANDIDATE_AXES = 24
-"""Axes to choose from."""
-N_KEYFRAMES = 7
-"""Frames in which fingers are closed about a measured motion; between them they move evenly."""
-MAX_ABS_Z_SCORE = 2.0
-"""No drawn number is further from the mean than this, in standard deviations."""
-N_CORRECTION_ITERATIONS, N_SIZE_ONLY_ITERATIONS = 6, 2
-"""Rounds of correcting a drawn motion, and the number of last ones that correct its sizes only."""
-N_TRIED_AXES = 6
-"""Number of axes that are tried: those about which the object turns the least deep into the open hand."""
-MAX_MOTION_DRAWS, LOG_MEASURE_TOLERANCE = 40, 0.1
-"""Motions that are drawn until what is measured of one is as close as this to what is asked for, as logarithms."""
-MOTION_SIZE_MEASURES = ("turn", "rotation", "place")
-"""Measures that motions are scaled to, as ``Residual.sizes``."""
-MOTION_SELECTION_MEASURES = (*MOTION_SIZE_MEASURES, "drift", "pivot", "slip")
-"""Measures by which one of the motions is chosen."""
-MISSING_MEASURE_DEVIATION = 1.0
-"""Deviation of a motion without a measure, since it hardly turns."""
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,13 @@ from getagrip.geometry.camera import bounding_boxes
 from getagrip.hands.generic import bend_fingers, finger_weights
 from getagrip.provenance import estimated
 
+ESTIMATED_HANDS_FILE = Path(__file__).with_name("estimated_hands.json")
+"""File with the errors of hands estimated from images, by ``benchmarks/hand_errors.py``, last in commit ea913fa.
+
+``noise``: fields of ``Noise``, whose errors, drawn for clips of the same lengths, have these measures (fingers: joints
+as far off). ``measured``: what the tests measure of the estimates, and their joints' error after the best similarity;
+SI units. ``lengths``: frames of these grasps; 5, 15, ..., 95 % are shorter."""
+
 
 @dataclass(frozen=True)
 class Noise(NamedFields):
@@ -72,12 +79,6 @@ class Noise(NamedFields):
     mask_ragged_px: float = 0.0
 
 
-ESTIMATED_HANDS_FILE = Path(__file__).with_name("estimated_hands.json")
-"""File with the errors of hands estimated from images, by ``benchmarks/hand_errors.py``, last in commit ea913fa.
-
-``noise``: fields of ``Noise``, whose errors, drawn for clips of the same lengths, have these measures (fingers: joints
-as far off). ``measured``: what the tests measure of the estimates, and their joints' error after the best similarity;
-SI units. ``lengths``: frames of these grasps; 5, 15, ..., 95 % are shorter."""
 NOISE_PRESETS: dict[str, Noise] = {
     "none": Noise(),
     "moderate": Noise(

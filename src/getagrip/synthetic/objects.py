@@ -29,6 +29,9 @@ from getagrip.geometry.warp import align_similarity
 N_WAVES = 6
 WAVELENGTH_RANGE_DIAMETERS = (0.8, 2.0)
 """Shortest and longest wave, in diameters of the object: long enough that the surface does not fold."""
+_N_SECTION_POINTS = 8
+"""Points of a tube's section: the corners and edge middles of the 2 x 2 quads that it replaces."""
+_Y = np.array([0.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -77,10 +80,6 @@ def misfit(cad: Mesh, grasped: Mesh) -> float:
     T, size = align_similarity(cad, grasped, resize=True)
     off = np.sum((se3.transform(T, size * cad.vertices) - grasped.vertices) ** 2, axis=1)
     return float(np.sqrt(grasped.vertex_areas @ off / grasped.vertex_areas.sum()))
-
-
-_N_SECTION_POINTS = 8
-"""Points of a tube's section: the corners and edge middles of the 2 x 2 quads that it replaces."""
 
 
 @dataclass(frozen=True)
@@ -251,9 +250,6 @@ def arc(points: Sequence[tuple[float, float]], n: int) -> Float[ndarray, "n 3"]:
     end = u**2 * (3.0 - 2.0 * u) * p[k + 1] + u**2 * (u - 1.0) * h * slope[k + 1]
     xz = start + end
     return np.stack([xz[:, 0], np.zeros(n), xz[:, 1]], axis=-1)
-
-
-_Y = np.array([0.0, 1.0, 0.0])
 
 
 def handle(points: Sequence[tuple[float, float]], n: int, width: float, height: float, capped: bool = False) -> Tube:

@@ -56,6 +56,9 @@ V = TypeVar("V")
 TRUTH_CACHE_SIZE = 8
 """Number of values of ground truths that are kept, the latest: of a clip, in all frames and in fitted ones."""
 _TRUTH_CACHE: dict[tuple[object, ...], Any] = {}
+RESULT_HANDS_FILE = "hand.npz"
+RESULT_HANDS_KEYS = ("names", "K", "clip_sha256")
+"""Its arrays beside those of a hand: names of the frames, the camera of each, the checksum of the clip without it."""
 
 
 class MissingPartError(Exception):
@@ -295,11 +298,6 @@ def _compute_truth_cached(compute: Callable[[], V], *inputs: ndarray | float) ->
         _TRUTH_CACHE[key] = compute()
     found: V = _TRUTH_CACHE[key]
     return found
-
-
-RESULT_HANDS_FILE = "hand.npz"
-RESULT_HANDS_KEYS = ("names", "K", "clip_sha256")
-"""Its arrays beside those of a hand: names of the frames, the camera of each, the checksum of the clip without it."""
 
 
 def write_result_hands(clip: Clip, result: Path, clip_sha256: str) -> None:

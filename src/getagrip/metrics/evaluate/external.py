@@ -42,6 +42,13 @@ MAX_HAND_OBJECT_DISTANCE_M = 0.5
 """Largest distance of an object's middle from the origin of the hand frame [m]."""
 MAX_EVALUATED_FACES = 20_000_000
 """Most faces of all meshes of a clip."""
+MISALIGNED_IOU_THRESHOLD, CONVENTION_IOU_THRESHOLD = 0.5, 0.6
+"""Mean overlap with the masks below which poses may be in another convention, and from which on one is theirs."""
+MISALIGNED_POSES_MESSAGE = (
+    "no given pose meets the masks: are they inverse, in another frame, of another mesh or of another instance?"
+)
+N_CONVENTION_FRAMES = 6
+"""Frames in which conventions are tried."""
 
 
 def evaluate_meshes(meshes: Sequence[Mesh | None], clip: Clip, masks: Masks | None, method: str) -> Evaluation:
@@ -205,15 +212,6 @@ def read_external_poses(
         Reconstruction.external(clip.name, name, clip.frames, poses.T_hand_obj, scale),
         frame_kind=kind, iou=iou, energy=unknown, seconds=unknown, notes=tuple(notes),
     )  # fmt: skip
-
-
-MISALIGNED_IOU_THRESHOLD, CONVENTION_IOU_THRESHOLD = 0.5, 0.6
-"""Mean overlap with the masks below which poses may be in another convention, and from which on one is theirs."""
-MISALIGNED_POSES_MESSAGE = (
-    "no given pose meets the masks: are they inverse, in another frame, of another mesh or of another instance?"
-)
-N_CONVENTION_FRAMES = 6
-"""Frames in which conventions are tried."""
 
 
 def diagnose_pose_convention(

@@ -47,6 +47,11 @@ TIMELINE_METRICS_NOTE = (
     "also in those in which it does not hold the object; metrics_of_grasps has the stable contact area of its grasps"
 )
 """A note about the metrics of a timeline."""
+_OBJECT_CONTACT_DEFINITION, _HAND_CONTACT_DEFINITION = (
+    ContactDefinition("object", 0.010),
+    ContactDefinition("hand", 0.010),
+)
+"""Definitions of contact in the table of results: that of reports and benchmarks, and the one that any mesh has."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -304,13 +309,6 @@ def sca_in_grasps(
     if not each:
         return {}
     return dict(zip((SCA.key(contact) for contact in contacts), np.mean(each, axis=0).tolist(), strict=True))
-
-
-_OBJECT_CONTACT_DEFINITION, _HAND_CONTACT_DEFINITION = (
-    ContactDefinition("object", 0.010),
-    ContactDefinition("hand", 0.010),
-)
-"""Definitions of contact in the table of results: that of reports and benchmarks, and the one that any mesh has."""
 
 
 def summary(evaluations: Sequence[Evaluation]) -> Json:
