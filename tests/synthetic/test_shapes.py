@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import MAX_MESH_EXTENT_M
-from getagrip.synthetic import categories, objects
+from getagrip.synthetic import objects
 from getagrip.synthetic.categories import SHAPE_MAKERS
 from getagrip.synthetic.objects import Tube, loft, merge_closed_meshes, torus
 
@@ -51,7 +51,7 @@ def test_euler_characteristic_counts_parts_and_handles(name: str) -> None:
 
 
 def test_machines_are_as_tall_as_asked_for() -> None:
-    for make in (categories.capsule_machine, categories.espresso_machine):
+    for make in (objects.capsule_machine, objects.espresso_machine):
         low = make(height=0.18).vertices[:, 2].min()
         assert low == pytest.approx(-0.09)
 

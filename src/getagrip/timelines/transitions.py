@@ -189,7 +189,7 @@ def _fit_smooth_motion(problem: Problem, at: Int[ndarray, "m"], start: Hypothese
 
 
 def correct_depth(motion: TimelineMotion, problem: Problem, seen: Int[ndarray, "n"], side: Side, jitter: float) -> None:
-    """Correct the depth of the object, and of the hand of ``side``, in the problem's frames ``seen``.
+    """Move the object, and the hand of ``side``, to the masks' depth, in the problem's frames ``seen``.
 
     ``jitter`` is the estimated depth jitter [m].
     """
