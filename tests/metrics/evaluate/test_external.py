@@ -1,4 +1,4 @@
-"""Meshes that another system made, one for each frame: known answers, what cannot be known, and what is no mesh."""
+"""Meshes of another system, one per frame: known answers, unknown metrics, and invalid meshes."""
 
 from __future__ import annotations
 

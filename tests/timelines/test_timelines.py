@@ -1,15 +1,17 @@
-"""A timeline from table to hand: every frame answered, one pose while the object lies, results written and read."""
+"""Whole timelines: every frame answered, results written and read, and all that must not matter."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy import ndarray
 
 from getagrip.checks.calibration import CALIBRATIONS
-from getagrip.clip import write_clip
+from getagrip.clip import Clip, HandTrack, Masks, World, write_clip
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
@@ -19,7 +21,7 @@ from getagrip.reconstruct import reconstruct
 from getagrip.report.pages.result_page import _describe_segments
 from getagrip.result import Reconstruction, read_result, write_result
 from getagrip.result.result import describe_grasp_probabilities
-from helpers.scenes import LIES, by_other_hand, timeline
+from helpers.scenes import LIES, SMALL, by_other_hand, timeline
 
 FEW = Options(inits=20)
 
@@ -125,7 +127,7 @@ def test_what_cannot_be_solved_is_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_hand_that_jumps_in_a_timeline_is_put_right() -> None:
+def test_a_hand_that_jumps_in_a_timeline_is_repaired() -> None:
     clip, masks = timeline()
     T = clip.hand.T_cam_hand.copy()
     T[11, :3, 3] += [0.0, 0.0, 0.5]
@@ -148,3 +150,86 @@ def test_an_estimated_hand_is_solved_with_the_object_of_its_grasp() -> None:
         for T in (off.T_cam_hand, result.T_cam_hand)
     )
     assert found < 0.7 * given
+
+
+@cache
+def expected() -> Reconstruction:
+    return reconstruct(*timeline(), FEW)
+
+
+def before_camera(result: Reconstruction, clip: Clip) -> ndarray:
+    """Vertices (T, V, 3) as they were found."""
+    T_cam_hand = clip.hand.T_cam_hand if result.T_cam_hand is None else result.T_cam_hand
+    return se3.transform(T_cam_hand @ result.T_hand_obj, clip.mesh.vertices)
+
+
+def apart(a: ndarray, b: ndarray) -> float:
+    """Mean distance of vertices in the worst frame, in the mug's diameter."""
+    return float(np.linalg.norm(a - b, axis=-1).mean(axis=-1).max()) / timeline()[0].mesh.diameter
+
+
+@pytest.mark.slow
+def test_the_frame_of_the_world_does_not_matter() -> None:
+    clip, masks = timeline()
+    rng = np.random.default_rng(0)
+    T = se3.rigid(se3.exp_so3(rng.normal(size=3)), rng.normal(size=3))
+    world = clip.world
+    assert world is not None
+    assert world.up is not None
+    assert world.support is not None
+    up = T[:3, :3] @ world.up
+    other = World(T @ world.T_world_cam, up, world.support + float(up @ T[:3, 3]))
+    found = reconstruct(replace(clip, world=other, truth=None), masks, FEW)
+    assert apart(before_camera(found, clip), before_camera(expected(), clip)) < 0.05
+    (one, two) = (result.segments[0].T_world_obj for result in (expected(), found))
+    lies, there = (se3.transform(pose, clip.mesh.vertices)[None] for pose in (T @ one, two))
+    assert apart(lies, there) < 0.05
+
+
+@pytest.mark.slow
+def test_a_left_hand_is_a_right_hand_in_a_mirror() -> None:
+    left, masks = timeline(options=replace(SMALL, side="left"))
+    found = before_camera(reconstruct(left, masks, FEW), left) * [-1.0, 1.0, 1.0]
+    assert apart(found, before_camera(expected(), timeline()[0])) < 0.05
+
+
+def backwards(clip: Clip, masks: Masks) -> tuple[Clip, Masks]:
+    """As if it had been filmed the other way."""
+    T, back = len(clip), np.arange(len(clip))[::-1]
+    segments = tuple(replace(s, first=T - 1 - s.last, last=T - 1 - s.first) for s in clip.segments[::-1])
+    other = replace(clip, segments=(), times=None).take(back)
+    return replace(other, segments=segments, frames=clip.frames, times=None), masks.take(back)
+
+
+@pytest.mark.slow
+def test_a_timeline_may_run_backwards() -> None:
+    """The object is put down, then: the same poses."""
+    clip, masks = timeline()
+    other, seen = backwards(clip, masks)
+    found = reconstruct(other, seen, FEW)
+    assert [segment.state for segment in found.segments] == ["grasp", "contact", "static"]
+    assert apart(before_camera(found, other)[::-1], before_camera(expected(), clip)) < 0.07
+
+
+@pytest.mark.slow
+def test_a_grasp_may_be_cut_in_two() -> None:
+    clip, masks = timeline()
+    static, contact, grasp = clip.segments
+    parts = replace(grasp, last=grasp.first + 3), replace(grasp, first=grasp.first + 4)
+    found = reconstruct(replace(clip, segments=(static, contact, *parts)), masks, FEW)
+    assert apart(before_camera(found, clip), before_camera(expected(), clip)) < 0.1
+    assert [segment.by_masks for segment in found.segments] == [False] * 4
+
+
+@pytest.mark.slow
+def test_an_object_that_lies_still_does_not_know_the_hand() -> None:
+    """Where what hides it is marked, its pose comes from the masks alone."""
+    clip, masks = timeline()
+    T = clip.hand.T_cam_hand.copy()
+    T[:5, :3, 3] += [0.1, 0.0, 0.1]  # before it comes near
+    hand = HandTrack(clip.hand.vertices, clip.hand.faces, T, clip.hand.regions, clip.hand.joints)
+    found = reconstruct(replace(clip, hand=hand, truth=None), masks, replace(FEW, hands="as-given"))
+    lies, as_before = (
+        before_camera(result, one)[:5] for result, one in ((found, replace(clip, hand=hand)), (expected(), clip))
+    )
+    assert apart(lies, as_before) < 0.02

@@ -1,4 +1,4 @@
-"""Segments of a clip that is not cut, found without its truth."""
+"""Segments of an uncut clip, found without its ground truth."""
 
 from __future__ import annotations
 

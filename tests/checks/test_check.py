@@ -1,4 +1,4 @@
-"""What checks say: counts, and lengths and shares with their units."""
+"""Messages of checks: counts, lengths and fractions with their units, and advice."""
 
 from __future__ import annotations
 
@@ -9,11 +9,41 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS, Evidence, run_checks
+from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS, Evidence, input_checks, result_checks, run_checks
+from getagrip.checks.check import OWN_MESH_ADVICE
 from getagrip.checks.timeline_checks import FLOATING_CHECK, JUMP_CHECK
 from getagrip.io.files import to_json
+from getagrip.provenance import assumed
 from getagrip.result.findings import read_findings
 from helpers.clips import small_clip
+
+CLIP, MASKS = small_clip()
+BUILT_IN = replace(CLIP, provenance={"mesh": assumed("this package's own mug: a guess of the object's shape")})
+OF_SHAPE = {"mask-fit", "poor-mask-fit", "large-mask-misfit", "mask-misfit", "mesh-much-deformed", "mesh-deformed"}
+
+
+def test_advice_asks_no_question() -> None:
+    checks = [*input_checks(), *result_checks()]
+    assert [c.name for c in checks if "?" in c.advice and not c.name.startswith("depth")] == []
+
+
+@pytest.mark.parametrize("name", sorted(OF_SHAPE))
+def test_what_another_mesh_would_mend_is_said_of_a_built_in_shape(name: str) -> None:
+    check = RESULT_CHECKS.working()[name]
+    value = 1e3 if np.isfinite(check.high) else 0.0
+    for clip in (CLIP, BUILT_IN):
+        finding = check.finding(value, Evidence(clip, MASKS, deformed_mm=9.0))
+        assert finding is not None
+        assert finding.message.endswith(OWN_MESH_ADVICE) == (clip is BUILT_IN)
+
+
+def test_one_problem_is_reported_once() -> None:
+    both = [
+        replace(RESULT_CHECKS.working()[name], measure=lambda _, value=value: value)
+        for name, value in (("poor-mask-fit", 0.8), ("mask-misfit", 5.0))
+    ]
+    assert [finding.check for finding in run_checks(both, Evidence(CLIP, MASKS))[1]] == ["poor-mask-fit"]
+
 
 CHECKS = {check.name: check for check in (*INPUT_CHECKS.values(), *RESULT_CHECKS.values(), JUMP_CHECK, FLOATING_CHECK)}
 

@@ -1,4 +1,4 @@
-"""Checks of timelines: nothing where all is right; each mistake is found in the segment where it is."""
+"""Checks of timelines: each mistake is found in its segment, and right ones have no finding."""
 
 from __future__ import annotations
 

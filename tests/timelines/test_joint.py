@@ -17,11 +17,17 @@ from getagrip.timelines.tracking import Paths
 from helpers.clips import box
 
 
-@given(st.lists(st.integers(1, 4), min_size=1, max_size=4), st.integers(0, 99))
-def test_no_other_chain_costs_less(counts: list[int], seed: int) -> None:
+def some_chain(counts: list[int], seed: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
     rng = np.random.default_rng(seed)
-    energy = [rng.uniform(size=n) for n in counts]
-    links = [rng.uniform(size=(n, m)) for n, m in pairwise(counts)]
+    return [rng.uniform(size=n) for n in counts], [rng.uniform(size=(n, m)) for n, m in pairwise(counts)]
+
+
+COUNTS = st.lists(st.integers(1, 4), min_size=1, max_size=5)
+
+
+@given(COUNTS, st.integers(0, 99))
+def test_no_other_chain_costs_less(counts: list[int], seed: int) -> None:
+    energy, links = some_chain(counts, seed)
 
     def cost(chain: tuple[int, ...]) -> float:
         own = sum(e[k] for e, k in zip(energy, chain, strict=True))
@@ -34,14 +40,6 @@ def test_no_other_chain_costs_less(counts: list[int], seed: int) -> None:
     assert second_best(
         energy, links, [np.arange(n) == k for n, k in zip(counts, chosen, strict=True)]
     ) == pytest.approx(expected)
-
-
-def some_chain(counts: list[int], seed: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    rng = np.random.default_rng(seed)
-    return [rng.uniform(size=n) for n in counts], [rng.uniform(size=(n, m)) for n, m in pairwise(counts)]
-
-
-COUNTS = st.lists(st.integers(1, 4), min_size=1, max_size=5)
 
 
 @given(COUNTS, st.integers(0, 99))
@@ -84,7 +82,7 @@ def some_ends(seed: int, count: int) -> Hypotheses:
     return Hypotheses(R, centre, np.ones(count), rng.uniform(0.0, 9.0, count))
 
 
-def elsewhere(found: Hypotheses, T: np.ndarray, k: float = 1.0) -> Hypotheses:
+def in_other_units(found: Hypotheses, T: np.ndarray, k: float = 1.0) -> Hypotheses:
     """The same in another frame, by another unit of length."""
     return Hypotheses(T[:3, :3] @ found.R, k * se3.transform(T, found.centre), found.scale, found.energy)
 
@@ -97,7 +95,7 @@ def test_links_know_no_frame_and_no_unit(seed: int) -> None:
     of = np.array([0, 1, 0, 1, 1])
     one = link_cost(MESH, Paths(paths, of), start, ends, MOST)
     larger = Mesh(1000.0 * MESH.vertices, MESH.faces)
-    other = link_cost(larger, Paths(elsewhere(paths, T, 1e3), of), start, elsewhere(ends, T, 1e3), MOST)
+    other = link_cost(larger, Paths(in_other_units(paths, T, 1e3), of), start, in_other_units(ends, T, 1e3), MOST)
     np.testing.assert_allclose(other, one, rtol=1e-9)
     assert (one <= MOST).all()
     assert (one >= 0.0).all()

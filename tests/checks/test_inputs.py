@@ -1,4 +1,4 @@
-"""Inputs that are wrong and used to pass in silence: each is found, and right ones are not."""
+"""Wrong inputs are found, before or after the fit, and right ones are not."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_a_hand_too_large_is_found_behind_the_object() -> None:
 
 
 @pytest.mark.slow
-def test_a_hand_that_flips_is_put_right() -> None:
+def test_a_hand_that_flips_is_repaired() -> None:
     clip, masks = mug()
     flipped, _ = Wrong("hand flips")(clip, masks, seed=5)
     result = reconstruct(flipped, masks, QUICK)

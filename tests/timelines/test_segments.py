@@ -1,4 +1,4 @@
-"""Support and links: gradients against finite differences, zero where they should be."""
+"""Terms of support and links: gradients against finite differences, zero where they should be; a grasp by itself."""
 
 from __future__ import annotations
 
@@ -6,12 +6,29 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy import ndarray
 
+from getagrip.clip import Clip, Segment, with_masks
 from getagrip.fitting.energy import PosesInCamera, Term, no_bound
 from getagrip.fitting.energy.homan_terms import SmoothnessTerm, TermInFrame, vertex_moments
+from getagrip.fitting.options import Options
+from getagrip.fitting.pipeline import repair_input
+from getagrip.fitting.problem import prepare_problem
 from getagrip.geometry import se3
-from getagrip.timelines.segments import ExpectedPoses, LinkTerm, SupportTerm, hull_vertices, plane_in_camera
+from getagrip.reconstruct import reconstruct
+from getagrip.result import Reconstruction
+from getagrip.timelines.observations import GraspClip, TimelineInputs
+from getagrip.timelines.segments import (
+    ExpectedPoses,
+    LinkTerm,
+    SupportTerm,
+    fit_in_all_frames,
+    hull_vertices,
+    plane_in_camera,
+    solve_grasp,
+)
 from helpers.clips import box
+from helpers.scenes import timeline
 from helpers.terms import (
     N,
     differences,
@@ -154,3 +171,39 @@ def test_a_link_costs_no_more_than_its_weight_and_nothing_at_a_hypothesis() -> N
     assert term(one, no_bound(one)).value.sum() == pytest.approx(0.0, abs=1e-9)
     away = PosesInCamera(poses.R, poses.centre + 5.0, np.ones(1))
     assert 99.0 < term(away, no_bound(away)).value.sum() < 100.0
+
+
+FEW = Options(inits=20)
+
+
+def before_camera(result: Reconstruction, clip: Clip) -> ndarray:
+    """Vertices (T, V, 3) as they were found."""
+    T_cam_hand = clip.hand.T_cam_hand if result.T_cam_hand is None else result.T_cam_hand
+    return se3.transform(T_cam_hand @ result.T_hand_obj, clip.mesh.vertices)
+
+
+def apart(a: ndarray, b: ndarray) -> float:
+    """Mean distance of vertices in the worst frame, in the mug's diameter."""
+    return float(np.linalg.norm(a - b, axis=-1).mean(axis=-1).max()) / timeline()[0].mesh.diameter
+
+
+@pytest.mark.slow
+def test_a_grasp_of_a_timeline_is_solved_as_a_grasp_by_itself() -> None:
+    """To the bit, where mesh and masks are taken as they are; then neighbours and the correction of depth are added."""
+    clip, masks = timeline()
+    segment = Segment("grasp", 0, 7, clip.side)
+    rows = clip.segments[2].rows
+    alone, seen = replace(clip, segments=()).take(rows), masks.take(rows)
+    footage = TimelineInputs.of(repair_input(with_masks(replace(alone, segments=(segment,)), seen), FEW))
+    grasp = GraspClip.of(footage.clip, segment)
+    assert grasp is not None
+    found = fit_in_all_frames(solve_grasp(grasp, prepare_problem(grasp.clip, FEW), []), 0, [])
+    expected = reconstruct(alone, seen, replace(FEW, mesh="as-given", masks="as-given"))
+    np.testing.assert_array_equal(found.track.T_hand_obj[0], expected.T_hand_obj)
+    assert found.axis is not None
+    assert expected.axis is not None
+    np.testing.assert_array_equal(found.axis.angle, expected.axis.angle)
+    np.testing.assert_array_equal(found.solutions.energy[0], expected.energy["total"])
+    whole = reconstruct(replace(alone, segments=(segment,)), seen, FEW)
+    assert apart(before_camera(whole, alone), before_camera(expected, alone)) < 0.05
+    assert whole.segments[0].signs.keys() == expected.signs.keys()
