@@ -34,10 +34,7 @@ from getagrip.checks.calibration import (
     read_calibrations,
     sigmoid,
 )
-from getagrip.checks.features import (
-    FEATURES,
-    HAND_FEATURES,
-)
+from getagrip.checks.features import FEATURES, HAND_FEATURES
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
 from getagrip.fitting.stages.confidence import (

@@ -39,7 +39,6 @@ unit = st.floats(-10.0, 10.0)
 def mug() -> SolvedEvidence:
     """The true solution, and one that is a quarter turn away at 1.5 times the energy."""
     clip, masks = synthesise("mug", 2, SceneOptions(frames=4, size=(160, 120), focal=150.0))
-    assert clip.truth is not None
     T = se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
     away = T @ se3.rigid(se3.exp_so3(np.array([0.5 * np.pi, 0.0, 0.0])), np.zeros(3))
     candidates = Candidates(np.stack([T, away]), np.ones(2), np.array([100.0, 150.0]))

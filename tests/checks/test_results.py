@@ -29,7 +29,6 @@ SERIOUS = {"large-mask-misfit", "poor-mask-fit"}
 
 def found(clip: Clip, masks: Masks, away: float = 0.0, misfit: float = np.nan) -> dict[str, Finding]:
     """Of the true poses, moved sideways by ``away`` [m]."""
-    assert clip.truth is not None
     T_cam_obj = clip.truth.T_cam_obj.copy()
     T_cam_obj[:, 0, 3] += away
     T = se3.inverse(clip.hand.T_cam_hand) @ T_cam_obj

@@ -18,7 +18,6 @@ from helpers.scenes import COMES, LIES, timeline
 def examined(clip: Clip, iou: float = 0.9, away: float = 0.0, hidden: bool = False) -> TimelineChecks:
     """The true poses, the lying object moved away by so many metres and met with that IOU."""
     masks = timeline()[1]
-    assert clip.truth is not None
     T_cam_obj, met = clip.truth.T_cam_obj.copy(), np.full(len(clip), 0.9)
     T_cam_obj[:LIES, 0, 3] += away
     met[:LIES] = np.nan if hidden else iou
@@ -65,7 +64,6 @@ def serious(clip: Clip, masks: Masks, T_cam_obj: np.ndarray, iou: np.ndarray) ->
 
 
 def poses(clip: Clip) -> np.ndarray:
-    assert clip.truth is not None
     return clip.truth.T_cam_obj.copy()
 
 
@@ -119,7 +117,6 @@ def test_a_grasp_that_nothing_shows_is_serious(seen: int) -> None:
 @pytest.mark.parametrize("far", [1e14, -1e300, 2e5])
 def test_a_camera_far_from_the_world_is_refused(far: float) -> None:
     clip, _ = timeline()
-    assert clip.world is not None
     T = clip.world.T_world_cam.copy()
     T[:, 1, 3] = far
     with pytest.raises(InputError, match=r"T_world_cam must be .*got a camera .* from the world's origin in frame"):

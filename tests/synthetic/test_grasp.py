@@ -35,13 +35,11 @@ FEW = SHORT
 
 
 def in_hand(clip: Clip) -> np.ndarray:
-    assert clip.truth is not None
     return se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
 
 
 def hand_gaps(clip: Clip) -> np.ndarray:
     """Signed distances (T, V) of the true hand's vertices to the object [m]."""
-    assert clip.truth is not None
     distance = SignedDistance(Mesh(clip.truth.scale * clip.mesh.vertices, clip.mesh.faces))
     return distance(se3.transform(se3.inverse(in_hand(clip)), clip.truth.hand_vertices))
 

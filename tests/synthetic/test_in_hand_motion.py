@@ -107,7 +107,6 @@ def test_a_deformation_leaves_what_no_similarity_undoes(share: float) -> None:
 def test_the_masks_show_the_true_poses_and_the_cad_is_of_another_shape() -> None:
     scene = make_scene("box", 7, SMALL)
     clip, masks = synthesise("box", 7, replace(SMALL, mask_ragged_px=0.0))
-    assert clip.truth is not None
     for n in (0, 5, 11):
         held = se3.transform(clip.truth.T_cam_obj[n], scene.object.vertices), scene.object.faces
         hand = se3.transform(clip.truth.T_cam_hand[n], clip.truth.hand_vertices[n]), clip.hand.faces

@@ -1,4 +1,4 @@
-"""Tracked hypotheses: paths are distinct, the cheapest of each start is kept, true poses stay true."""
+"""Hypotheses in any frame of reference, and their tracking: distinct paths, the cheapest kept, true poses stay true."""
 
 from __future__ import annotations
 
@@ -9,16 +9,70 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.clip import with_masks
+from getagrip.clip import read_masks, with_masks
 from getagrip.fitting.energy.homan_terms import vertex_moments
-from getagrip.fitting.motion import PosesInHand
+from getagrip.fitting.motion import PosesInHand, transform_poses
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import repair_input
 from getagrip.geometry import se3
-from getagrip.timelines.observations import Hypotheses, TimelineInputs
+from getagrip.timelines.observations import GraspClip, Hypotheses, TimelineInputs
 from getagrip.timelines.tracking import N_PATHS, _pose_embedding, _select_distinct_paths, hand_motions, track_hypotheses
 from helpers.clips import box
-from helpers.scenes import timeline
+from helpers.scenes import by_other_hand, timeline
+
+VERTICES = box(0.1, 0.06, 0.04).vertices + np.array([0.01, -0.02, 0.03])
+K, N = 3, 5
+
+
+def random_motions(rng: np.random.Generator, count: int = N) -> np.ndarray:
+    return se3.rigid(se3.exp_so3(rng.normal(size=(count, 3))), rng.normal(0.0, 0.3, (count, 3)))
+
+
+def random_hypotheses(rng: np.random.Generator, frames: int = N) -> Hypotheses:
+    R, centre = se3.exp_so3(rng.normal(size=(K, frames, 3))), rng.normal(0.0, 0.2, (K, frames, 3))
+    return Hypotheses(R, centre, rng.uniform(0.8, 1.2, K), np.sort(rng.uniform(size=K)))
+
+
+@pytest.fixture(scope="module")
+def footage() -> TimelineInputs:
+    return TimelineInputs.of(repair_input(with_masks(*timeline()), Options(inits=4)))
+
+
+@given(st.integers(0, 99))
+def test_poses_go_to_another_frame_and_back(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    found, T = random_hypotheses(rng), random_motions(rng)
+    back = transform_poses(transform_poses(found, T), se3.inverse(T))
+    np.testing.assert_allclose(back.R, found.R, atol=1e-12)
+    np.testing.assert_allclose(back.centre, found.centre, atol=1e-12)
+
+
+@given(st.integers(0, 99))
+def test_the_mesh_goes_where_its_centre_is(seed: int) -> None:
+    """``X_world = R (scale (X - c)) + centre`` is ``T_world_obj (scale X)``."""
+    rng = np.random.default_rng(seed)
+    found, c = random_hypotheses(rng), rng.normal(0.0, 0.1, 3)
+    expected = (found.scale[:, None, None, None] * (VERTICES - c)) @ np.swapaxes(found.R, -1, -2)
+    placed = se3.transform(found.T_world_obj(c), found.scale[:, None, None, None] * VERTICES)
+    np.testing.assert_allclose(placed, expected + found.centre[:, :, None], atol=1e-12)
+
+
+def test_one_pose_is_its_own_hypothesis() -> None:
+    T = random_motions(np.random.default_rng(3), 1)[0]
+    centre = np.array([0.02, 0.0, -0.01])
+    np.testing.assert_allclose(Hypotheses.of_pose(T, centre).T_world_obj(centre)[0, 0], T, atol=1e-12)
+
+
+def test_a_grasp_is_a_clip_of_the_frames_in_which_its_hand_is_known() -> None:
+    clip, masks = by_other_hand()
+    grasp = clip.segments[2]
+    found = GraspClip.of(with_masks(clip, masks), grasp)
+    assert found is not None
+    of_hand, seen, rows = found.clip, read_masks(found.clip), found.rows
+    assert rows.tolist() == [n for n in grasp.rows if clip.other_hand.known[n]]
+    assert (of_hand.side, of_hand.frames) == (grasp.side, tuple(clip.frames[n] for n in rows))
+    np.testing.assert_array_equal(of_hand.hand.T_cam_hand, clip.other_hand.track.T_cam_hand[rows])
+    np.testing.assert_array_equal(seen.object, masks.take(rows).object)
 
 
 def test_the_cheapest_distinct_paths_of_each_start_are_kept() -> None:
@@ -41,7 +95,6 @@ def test_the_cheapest_distinct_paths_of_each_start_are_kept() -> None:
 def test_the_best_path_is_the_true_one(back: bool) -> None:
     clip, masks = timeline()
     footage = TimelineInputs.of(repair_input(with_masks(clip, masks), Options(inits=20)))
-    assert clip.truth is not None
     T = footage.T_world_cam @ clip.truth.T_cam_obj
     begin, rows = (7, np.arange(6, 2, -1)) if back else (4, np.arange(5, 10))
     centre = se3.transform(T[begin], clip.mesh.centre[None])
@@ -63,7 +116,6 @@ def test_poses_are_followed_independently() -> None:
     """Each start goes where it goes alone, and where the hand is does not matter to frames that it does not change."""
     clip, masks = timeline()
     footage = TimelineInputs.of(repair_input(with_masks(clip, masks), Options(inits=20)))
-    assert clip.truth is not None
     T = footage.T_world_cam[4] @ clip.truth.T_cam_obj[4]
     true = Hypotheses.of_pose(T, clip.mesh.centre)
     away = replace(true, centre=true.centre + 0.3 * clip.mesh.diameter, energy=true.energy + 1.0)
@@ -95,17 +147,3 @@ def test_what_a_hand_carries_comes_back(footage: TimelineInputs) -> None:
     )
     np.testing.assert_allclose(there @ back, np.eye(4), atol=1e-12)
     np.testing.assert_allclose(on @ there, whole, atol=1e-12)
-
-
-VERTICES = box(0.1, 0.06, 0.04).vertices + np.array([0.01, -0.02, 0.03])
-K, N = 3, 5
-
-
-def random_hypotheses(rng: np.random.Generator, frames: int = N) -> Hypotheses:
-    R, centre = se3.exp_so3(rng.normal(size=(K, frames, 3))), rng.normal(0.0, 0.2, (K, frames, 3))
-    return Hypotheses(R, centre, rng.uniform(0.8, 1.2, K), np.sort(rng.uniform(size=K)))
-
-
-@pytest.fixture(scope="module")
-def footage() -> TimelineInputs:
-    return TimelineInputs.of(repair_input(with_masks(*timeline()), Options(inits=4)))

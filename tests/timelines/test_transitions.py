@@ -77,7 +77,6 @@ def test_what_is_put_in_a_frame_is_there(footage: TimelineInputs) -> None:
 
 def test_depth_is_mended_and_contact_stays() -> None:
     clip, masks = timeline()
-    assert clip.truth is not None
     footage = TimelineInputs.of(repair_input(with_masks(clip, masks), Options(inits=20)))
     rows = np.arange(7)  # the object lies still
     true = clip.truth.T_cam_obj[rows]

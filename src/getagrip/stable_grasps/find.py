@@ -62,10 +62,7 @@ def segment(
 
 
 def contact_sets(
-    clip: Clip,
-    threshold: float = 0.0,
-    points: Points = "vertices",
-    progress: Callable[[float], None] = lambda _: None,
+    clip: Clip, threshold: float = 0.0, points: Points = "vertices", progress: Callable[[float], None] = lambda _: None
 ) -> Bool[ndarray, "T P"]:
     """Find the object's points in contact with the true hand in each frame: signed distance up to ``threshold`` [m].
 

@@ -237,11 +237,7 @@ def draw_motion_curves(
 
 
 def _motion_about_hinge(
-    start: AxisRotation,
-    sizes: Float[ndarray, "3"],
-    statistics: MotionStatistics,
-    frames: int,
-    rng: np.random.Generator,
+    start: AxisRotation, sizes: Float[ndarray, "3"], statistics: MotionStatistics, frames: int, rng: np.random.Generator
 ) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"]]:
     axes = hinge_axes(start.direction, start.arm)
     angle = _random_curves(statistics.angle, frames, 1, rng)[:, 0]

@@ -214,9 +214,7 @@ def best_chain(
 
 
 def second_best(
-    energy: Sequence[Float[ndarray, "_"]],
-    links: Sequence[Float[ndarray, "_ _"]],
-    copies: Sequence[Bool[ndarray, "_"]],
+    energy: Sequence[Float[ndarray, "_"]], links: Sequence[Float[ndarray, "_ _"]], copies: Sequence[Bool[ndarray, "_"]]
 ) -> float:
     """Return the least energy of any chain that differs from the chosen one; infinite without another chain.
 

@@ -27,7 +27,6 @@ NAME = "egg-and-mug"
 
 
 def true_meshes(clip: Clip, frame: MeshFrame = "hand") -> list[Mesh | None]:
-    assert clip.truth is not None
     T = clip.truth.T_cam_obj if frame == "camera" else se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
     return [Mesh(se3.transform(pose, clip.mesh.vertices), clip.mesh.faces) for pose in T]
 
@@ -36,7 +35,6 @@ def anew(meshes: list[Mesh | None]) -> list[Mesh | None]:
     """The same surfaces, each cut into other triangles."""
     out: list[Mesh | None] = []
     for n, mesh in enumerate(meshes):
-        assert mesh is not None
         chosen = np.arange(n, len(mesh.faces), 7)
         vertices, faces = trimesh.remesh.subdivide(mesh.vertices, mesh.faces, chosen)
         out.append(Mesh(np.asarray(vertices), np.asarray(faces)))

@@ -92,7 +92,6 @@ def test_very_large_meshes_are_measured_with_fewer_faces(
 
 def test_nothing_but_masks_depends_on_where_the_camera_stands(scene: tuple[Clip, Masks]) -> None:
     clip, _ = scene
-    assert clip.truth is not None
     G = se3.rigid(se3.exp_so3(np.array([0.3, -1.0, 2.0])), np.array([0.1, 0.2, 0.3]))
     hand = replace(clip.hand, T_cam_hand=G @ clip.hand.T_cam_hand)
     truth = replace(clip.truth, T_cam_hand=G @ clip.truth.T_cam_hand, T_cam_obj=G @ clip.truth.T_cam_obj)

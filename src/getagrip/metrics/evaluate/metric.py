@@ -71,11 +71,7 @@ def nan_mean(values: Float[ndarray, "n"]) -> float:
 
 
 def _penetration_metrics(
-    name: str,
-    depth: Callable[[Comparison], ndarray],
-    heading: str = "",
-    meaning: str = "",
-    needs_truth: bool = False,
+    name: str, depth: Callable[[Comparison], ndarray], heading: str = "", meaning: str = "", needs_truth: bool = False
 ) -> tuple[Metric, ...]:
     """Metrics of the depth of points (T, P) inside the other body: each frame's maximum, the overall one, the mean."""
 

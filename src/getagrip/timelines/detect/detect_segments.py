@@ -158,11 +158,7 @@ def _runs_between_static(moved: ImageMotion) -> list[tuple[int, int]]:
 
 
 def _fit_moving_parts(
-    clip: Clip,
-    masks: Masks,
-    runs: Sequence[tuple[int, int]],
-    options: Options,
-    progress: Callable[[float], None],
+    clip: Clip, masks: Masks, runs: Sequence[tuple[int, int]], options: Options, progress: Callable[[float], None]
 ) -> list[HingeFit]:
     """Fit the object to each known hand in all moving runs; frames that cannot be fitted are skipped."""
     hands, parts, fits = _clips_by_hand(clip, masks), list(split_runs(runs, MAX_FIT_FRAMES, MIN_FIT_FRAMES)), []
