@@ -228,10 +228,9 @@ class Evidence:
         counts = np.zeros((2, 2))  # of the hand's, then of the object's pixels: with the other in front, and in all
         for n in few:
             hand = self.clip.hand.T_cam_hand[n]
-            surfaces = (
-                (se3.transform(hand @ self.T_hand_obj[n], self.scale * self.clip.mesh.vertices), self.clip.mesh.faces),
-                (se3.transform(hand, self.clip.hand.vertices[n]), self.clip.hand.faces),
-            )
+            posed = se3.transform(hand @ self.T_hand_obj[n], self.scale * self.clip.mesh.vertices)
+            posed_hand = se3.transform(hand, self.clip.hand.vertices[n])
+            surfaces = (posed, self.clip.mesh.faces), (posed_hand, self.clip.hand.faces)
             nearest = nearest_surface(surfaces, np.diag([zoom, zoom, 1.0]) @ self.clip.K[n], size)
             for k, masks in enumerate((self.masks.hand, self.masks.object)):
                 if masks is None:

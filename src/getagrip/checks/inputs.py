@@ -218,7 +218,6 @@ def _expected_size(it: Evidence) -> float:
 
 
 def _pairwise_iou(hands: Bool[ndarray, "T h w"], pixels: Bool[ndarray, "T h w"]) -> Float[ndarray, "T T"]:
-    """Overlap (IOU) of each drawn hand with the pixels of each frame."""
     hands, pixels = (x.reshape(len(x), -1).astype(np.float32) for x in (hands, pixels))
     both = hands @ pixels.T
     either = hands.sum(axis=1)[:, None] + pixels.sum(axis=1)[None] - both

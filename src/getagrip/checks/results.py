@@ -196,10 +196,8 @@ def _mask_difference(it: Evidence, n: int) -> Float[ndarray, "g g"]:
     silhouette = render_coverage(it.posed[n], it.clip.mesh.faces, it.clip.K[n], it.clip.size)
     rows, columns = np.nonzero(mask ^ (silhouette & (mask | ~ignored)))
     half = float(np.max(it.boxes[n, 2:] - it.boxes[n, :2]))
-    across, down = (
-        ((at - middle) / half + 1.0) * N_DIFFERENCE_CELLS / 2.0
-        for at, middle in zip((columns, rows), it.centroids[n], strict=True)
-    )
+    offsets = zip((columns, rows), it.centroids[n], strict=True)
+    across, down = (((at - middle) / half + 1.0) * N_DIFFERENCE_CELLS / 2.0 for at, middle in offsets)
     edges = np.arange(N_DIFFERENCE_CELLS + 1.0)
     return np.histogram2d(down, across, (edges, edges), weights=np.where(mask[rows, columns], 1.0, -1.0))[0]
 

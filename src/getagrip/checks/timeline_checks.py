@@ -142,7 +142,6 @@ def check_timeline(
 
 
 def _check_segment(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
-    """Run the checks of one segment."""
     assert whole.iou is not None
     assert whole.T_hand_obj is not None
     iou = whole.iou[segment.rows]
@@ -164,9 +163,8 @@ def _check_segment(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[
     seen_at = with_evidence(with_masks(by.take(rows), masks))
     names = tuple(clip.frames[n] for n in segment.rows)
     result = Evidence(seen_at, masks, T_hand_obj[rows], whole.scale, iou, names)
-    checks = [
-        c for c in RESULT_CHECKS.working().values() if c.name in MASK_CHECKS or (grasped and c.name in GRASP_CHECKS)
-    ]
+    applied = (*MASK_CHECKS, *GRASP_CHECKS) if grasped else MASK_CHECKS
+    checks = [check for check in RESULT_CHECKS.working().values() if check.name in applied]
     checks += [*SEGMENT_CHECKS, *((STATIC_CHECK, FLOATING_CHECK) if segment.state == "static" else ())]
     there = [one for one in modalities() if one.of(seen_at) is not None]
     checks += [check for one in there for check in (*one.input_checks, *one.result_checks)]
@@ -179,7 +177,6 @@ def _check_segment(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[
 
 
 def _swap_hands(clip: Clip) -> Clip:
-    """Swap the clip's own hand with the other one."""
     swapped = clip.with_side(clip.other_side)
     assert swapped is not None
     return swapped

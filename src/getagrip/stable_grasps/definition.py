@@ -57,7 +57,6 @@ class Definition:
 
 
 def _distance_help(value: str) -> str:
-    """Format the default of a distance for the help."""
     return f"(default: {'0, or 10 with --from-masks' if value == 'None' else value})"
 
 

@@ -192,7 +192,6 @@ def stable_grasps(
 
 
 def _blocks(frames: int) -> Iterator[slice]:
-    """Yield all frames in blocks."""
     return (slice(begin, min(begin + IOU_BLOCK_FRAMES, frames)) for begin in range(0, frames, IOU_BLOCK_FRAMES))
 
 
@@ -312,10 +311,9 @@ class CutRules:
         iou, found = segment(clip, self.definition, progress)
         if self.listed is not None:
             origin = clip.provenance.get(FIRST_FRAME_KEY)
-            spans = [
-                grasp.positions(clip.frames, origin if type(origin) is int else None)
-                for grasp in self.listed.of(clip.name, clip.side, clip.category)
-            ]
+            origin = origin if type(origin) is int else None
+            grasps = self.listed.of(clip.name, clip.side, clip.category)
+            spans = [grasp.positions(clip.frames, origin) for grasp in grasps]
             found = sorted({(int(span[0]), int(span[-1])) for span in spans if len(span) >= MIN_GRASP_FRAMES})
         return iou, found
 

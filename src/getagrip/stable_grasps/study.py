@@ -246,7 +246,5 @@ def _fit_rotations(pad: Float[ndarray, "N P 3"], grasp: slice) -> Float[ndarray,
 
 def mean_curves(studied: Sequence[StudiedGrasp]) -> dict[str, list[Spread]]:
     """Compute the spread of each measure over grasps at each of ``NORMALISED_TIMES``."""
-    return {
-        name: [Spread.of(values) for values in np.array([one.curves[name] for one in studied]).T]
-        for name in STUDY_MEASURES
-    }
+    curves = {name: np.array([one.curves[name] for one in studied]).T for name in STUDY_MEASURES}
+    return {name: [Spread.of(values) for values in curve] for name, curve in curves.items()}

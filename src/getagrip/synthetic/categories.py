@@ -60,9 +60,8 @@ def clips_of_split(name: Split, preset: str = "clean") -> list[tuple[str, int, S
     if name not in SPLIT_SEEDS:
         raise UsageError(f"unknown split {name!r}; choose from {', '.join(get_args(Split))}")
     if preset in FORMER_PRESET_NAMES:
-        raise UsageError(
-            f"--preset: {preset!r} is now called {FORMER_PRESET_NAMES[preset]!r}: its noise is no tracker's"
-        )
+        now = FORMER_PRESET_NAMES[preset]
+        raise UsageError(f"--preset: {preset!r} is now called {now!r}: its noise is no tracker's")
     if preset not in SYNTHETIC_PRESETS:
         raise UsageError(f"unknown --preset {preset!r}; choose from {', '.join(SYNTHETIC_PRESETS)}")
     rng = np.random.default_rng(list(f"synthetic {name}".encode()))

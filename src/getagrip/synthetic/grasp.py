@@ -210,7 +210,6 @@ class Grasper:
     def _close_thumb(
         self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"], others: _Obstacles
     ) -> Float[ndarray, "A 5 3"]:
-        """Close the open thumb on the object and the other fingers."""
         angles = angles.copy()
         angles[:, 0] = np.radians(_FINGERS[self.hold].opened[0])
         return self._sweep(angles, T_hand_obj, range(1), others)

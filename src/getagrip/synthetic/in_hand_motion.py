@@ -43,10 +43,8 @@ from getagrip.synthetic.scene_options import SceneOptions
 
 MEASURED_MOTION_FILE = Path(__file__).with_name("measured_motion.json")
 """Statistics of real grasps, by ``benchmarks/motion.py``, last in commit ea913fa."""
-MOTION_STATISTICS = {
-    name: MotionStatistics(**row)
-    for name, row in json.loads(MEASURED_MOTION_FILE.read_text(encoding="utf-8"))["statistics"].items()
-}
+_STORED = json.loads(MEASURED_MOTION_FILE.read_text(encoding="utf-8"))["statistics"]
+MOTION_STATISTICS = {name: MotionStatistics(**row) for name, row in _STORED.items()}
 """Statistics of in-hand motion in stable grasps, by dataset; SI units."""
 MAX_TURN_DEPTH_M = 0.0035
 """Maximum depth of a turning object in the open hand [m], for turns that are not measured."""

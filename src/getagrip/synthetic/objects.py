@@ -72,9 +72,7 @@ def loft(rings: Float[ndarray, "R N 3"], tubes: Sequence[Tube] = ()) -> Mesh:
     faces = [_fan_triangles(R * N, grid[0][::-1]), _fan_triangles(R * N + 1, grid[-1])]
     for tube in tubes:
         offset = sum(len(part) for part in parts)
-        ends = [_cut_hole(rings, taken, tube.path[0])] + (
-            [] if tube.capped else [_cut_hole(rings, taken, tube.path[-1])]
-        )
+        ends = [_cut_hole(rings, taken, tube.path[end]) for end in ((0,) if tube.capped else (0, -1))]
         inner = tube.sections()[1 : len(tube.path) if tube.capped else -1]
         start = _align_loop(rings.reshape(-1, 3), ends[0], inner[0])
         parts.append(inner.reshape(-1, 3))
@@ -145,10 +143,12 @@ def _align_loop(
     return min(rolls, key=lambda ids: float(np.linalg.norm(vertices[ids] - ring, axis=1).sum()))
 
 
-def parse_profile(corners: str, across: float, along: float) -> list[tuple[float, float]]:
-    """Parse corners "a b, a b, ...", given in units of two sizes of the object, to metres."""
+def parse_profile(
+    corners: str, across: float, along: float, right: float = 0.0, up: float = 0.0
+) -> list[tuple[float, float]]:
+    """Parse corners "a b, a b, ...", in units of two sizes of the object, to metres, shifted by ``right`` and ``up``."""
     pairs = [pair.split() for pair in corners.split(",")]
-    return [(float(a) * across, float(b) * along) for a, b in pairs]
+    return [(float(a) * across + right, float(b) * along + up) for a, b in pairs]
 
 
 def _resample_polyline(corners: Sequence[tuple[float, float]], spacing: float) -> Float[ndarray, "P 2"]:
@@ -223,17 +223,16 @@ def _vessel_profile(
 
 def bottle(radius: float = 0.036, height: float = 0.22, neck: float = 0.013) -> Mesh:
     """Make a closed bottle with shoulders, a neck and a cap."""
-    body = parse_profile("0.5 0, 0.92 0, 1 0.02, 1 0.56, 0.96 0.62, 0.8 0.7, 0.63 0.77", radius, height)
-    top = parse_profile("1 0.83, 0.95 0.89, 1.15 0.895, 1.15 0.99, 0.5 1", neck, height)
-    return loft(revolve_profile([(r, z - height / 2) for r, z in body + top], 24, 0.013))
+    body = parse_profile("0.5 0, 0.92 0, 1 0.02, 1 0.56, 0.96 0.62, 0.8 0.7, 0.63 0.77", radius, height, up=-height / 2)
+    top = parse_profile("1 0.83, 0.95 0.89, 1.15 0.895, 1.15 0.99, 0.5 1", neck, height, up=-height / 2)
+    return loft(revolve_profile(body + top, 24, 0.013))
 
 
 def ketchup(radius: float = 0.038, height: float = 0.19, flatness: float = 0.62) -> Mesh:
     """Make a flat squeeze bottle that stands on its wide cap."""
     cap = "0.3 0, 0.62 0, 0.66 0.02, 0.6 0.17, 0.66 0.19"
     body = "0.85 0.27, 0.92 0.36, 0.86 0.52, 0.95 0.68, 1 0.84, 0.92 0.95, 0.6 1, 0.25 1"
-    profile = parse_profile(f"{cap}, {body}", radius, height)
-    rings = revolve_profile([(r, z - height / 2) for r, z in profile], 24, 0.014)
+    rings = revolve_profile(parse_profile(f"{cap}, {body}", radius, height, up=-height / 2), 24, 0.014)
     upper = np.clip((rings[..., 2] / height + 0.5 - 0.15) / 0.2, 0.0, 1.0)  # 0 at the round cap
     rings[..., 1] *= 1.0 - (1.0 - flatness) * upper
     return loft(rings)
@@ -248,10 +247,8 @@ def can(radius: float = 0.034, height: float = 0.11) -> Mesh:
 
 def jar(radius: float = 0.037, height: float = 0.105) -> Mesh:
     """Make a closed jar: a straight body, and a lid of nearly its width."""
-    corners = parse_profile(
-        "0.5 0, 0.92 0, 1 0.03, 1 0.7, 0.94 0.76, 0.87 0.78, 0.9 0.8, 0.9 0.98, 0.5 1", radius, height
-    )
-    return loft(revolve_profile([(r, z - height / 2) for r, z in corners], 26, 0.011))
+    corners = "0.5 0, 0.92 0, 1 0.03, 1 0.7, 0.94 0.76, 0.87 0.78, 0.9 0.8, 0.9 0.98, 0.5 1"
+    return loft(revolve_profile(parse_profile(corners, radius, height, up=-height / 2), 26, 0.011))
 
 
 def ball(radius: float = 0.035) -> Mesh:
@@ -274,24 +271,20 @@ def bowl(rim: float = 0.078, height: float = 0.07, wall: float = 0.004) -> Mesh:
 def plate(radius: float = 0.11, height: float = 0.02, wall: float = 0.004) -> Mesh:
     """Make a dinner plate with a raised rim."""
     under = parse_profile("0.25 0, 0.6 0, 0.72 0.35, 0.86 0.75, 0.985 0.95, 1 1", radius, height - wall)
-    over = [
-        (r, z + wall) for r, z in parse_profile("0.985 1, 0.85 0.75, 0.7 0.35, 0.58 0, 0.25 0", radius, height - wall)
-    ]
+    over = parse_profile("0.985 1, 0.85 0.75, 0.7 0.35, 0.58 0, 0.25 0", radius, height - wall, up=wall)
     return loft(revolve_profile(under + over, 30, 0.028))
 
 
 def mug(radius: float = 0.041, height: float = 0.095, wall: float = 0.004, reach: float = 0.036) -> Mesh:
     """Make a straight mug with a D-shaped handle."""
-    path = [(radius + a, z) for a, z in parse_profile("0 0.8, 0.75 0.82, 1 0.52, 0.65 0.24, 0 0.26", reach, height)]
+    path = parse_profile("0 0.8, 0.75 0.82, 1 0.52, 0.65 0.24, 0 0.26", reach, height, right=radius)
     rings = revolve_profile(_vessel_profile(0.95 * radius, radius, height, wall), 24, 0.016, focus=0.25)
     return loft(rings, [handle(path, 11, 0.0065, 0.0045)])
 
 
 def pitcher(radius: float = 0.06, height: float = 0.19, wall: float = 0.004, reach: float = 0.05) -> Mesh:
     """Make a water jug with a long handle and, opposite, a spout."""
-    path = [
-        (radius + a, z) for a, z in parse_profile("-0.02 0.87, 0.8 0.86, 1 0.55, 0.7 0.22, -0.1 0.2", reach, height)
-    ]
+    path = parse_profile("-0.02 0.87, 0.8 0.86, 1 0.55, 0.7 0.22, -0.1 0.2", reach, height, right=radius)
     rings = revolve_profile(_vessel_profile(0.85 * radius, radius, height, wall), 22, 0.028, focus=0.25)
     top = np.clip(4.0 * rings[..., 2] / height - 3.0, 0.0, 1.0)
     rings[..., 0] -= 0.3 * radius * top * np.clip(-rings[..., 0] / radius, 0.0, 1.0) ** 4
@@ -300,10 +293,9 @@ def pitcher(radius: float = 0.06, height: float = 0.19, wall: float = 0.004, rea
 
 def cup(radius: float = 0.044, height: float = 0.066, wall: float = 0.003, reach: float = 0.026) -> Mesh:
     """Make a round-bellied tea cup with a small ear."""
-    path = [(radius + a, z) for a, z in parse_profile("-0.07 0.76, 0.85 0.78, 0.9 0.48, -0.17 0.36", reach, height)]
-    rings = revolve_profile(
-        _vessel_profile(0.58 * radius, radius, height, wall, belly=0.13 * radius), 24, 0.013, focus=0.3
-    )
+    path = parse_profile("-0.07 0.76, 0.85 0.78, 0.9 0.48, -0.17 0.36", reach, height, right=radius)
+    profile = _vessel_profile(0.58 * radius, radius, height, wall, belly=0.13 * radius)
+    rings = revolve_profile(profile, 24, 0.013, focus=0.3)
     return loft(rings, [handle(path, 9, 0.004, 0.0032)])
 
 
@@ -312,7 +304,7 @@ def vessel_with_handle(
 ) -> Mesh:
     """Make a vessel with one straight handle of length ``bar`` along +x; the origin lies on the handle."""
     n, at = 10, 0.62 * height
-    points = [(rim + a, at + z) for a, z in parse_profile("0 0, 0.25 0.45, 0.6 0.9, 1 1", bar, rise)]
+    points = parse_profile("0 0, 0.25 0.45, 0.6 0.9, 1 1", bar, rise, rim, at)
     width = np.interp(np.linspace(0, 1, n), [0, 0.2, 0.45, 0.85, 1], [0.010, 0.009, 0.0125, 0.0125, 0.007])
     tube = Tube(arc(points, n), _Y, width, 0.62 * width, capped=True)
     mesh = loft(revolve_profile(profile, 30, 0.022, focus=0.55), [tube])
@@ -335,9 +327,7 @@ def kettle(radius: float = 0.075, height: float = 0.15, reach: float = 0.052) ->
     body = "0.35 0, 0.7 0, 0.93 0, 1 0.06, 0.99 0.25, 0.9 0.5, 0.76 0.72, 0.62 0.86"
     lid = "0.6 0.88, 0.3 0.93, 0.12 0.935, 0.16 0.98, 0.09 1"
     rings = revolve_profile(parse_profile(f"{body}, {lid}", radius, height), 28, 0.021)
-    bow = [
-        (radius + a, z) for a, z in parse_profile("-0.34 0.74, 0.75 0.8, 1 0.55, 0.6 0.24, -0.01 0.2", reach, height)
-    ]
+    bow = parse_profile("-0.34 0.74, 0.75 0.8, 1 0.55, 0.6 0.24, -0.01 0.2", reach, height, right=radius)
     spout = arc(parse_profile("-0.93 0.4, -1.25 0.55, -1.42 0.8, -1.62 0.9", radius, height), 7)
     thick = np.linspace(0.014, 0.007, 7)
     return loft(rings, [handle(bow, 12, 0.010, 0.0065), Tube(spout, _Y, thick, thick, capped=True)])
@@ -420,14 +410,13 @@ def banana(length: float = 0.18, thickness: float = 0.034) -> Mesh:
 def umbrella(radius: float = 0.031, length: float = 0.27) -> Mesh:
     """Make a folded umbrella, its handle up."""
     cloth = "0.3 0, 0.65 0, 0.84 0.06, 0.94 0.2, 0.87 0.5, 0.9 0.69, 1 0.82"
-    corners = parse_profile(f"{cloth}, 0.62 0.835, 0.62 0.98, 0.55 1, 0.2 1", radius, length)
-    return loft(revolve_profile([(r, z - length / 2) for r, z in corners], 24, 0.016))
+    corners = parse_profile(f"{cloth}, 0.62 0.835, 0.62 0.98, 0.55 1, 0.2 1", radius, length, up=-length / 2)
+    return loft(revolve_profile(corners, 24, 0.016))
 
 
 def _rounded_block(
     low: tuple[float, float, float], high: tuple[float, float, float], power: float = 7.0, layers: int = 2
 ) -> Mesh:
-    """Make a rounded block between two corners."""
     size = np.subtract(high, low)
     part = slab((float(size[0]), float(size[1]), float(size[2])), power, 0.004, 18, layers)
     return Mesh(part.vertices + (np.array(low) + high) / 2.0, part.faces)
@@ -463,9 +452,8 @@ def mixer(length: float = 0.19, width: float = 0.075, height: float = 0.075) -> 
     profile = parse_profile("0.12 0, 0.6 0.06, 1 0.25, 0.75 0.42, 0.2 0.5, 0.18 0.8, 0.18 1, 0.05 1", 0.019, 0.13)
     beater = loft(revolve_profile(profile, 10, 0.02))
     places = np.array([0.22 * length, 0.021, -0.13 - 0.3 * height]) * [[1.0, -1.0, 1.0], [1.0, 1.0, 1.0]]
-    return merge_closed_meshes(
-        [loft(rings, [handle(bow, 12, 0.014, 0.011)]), *(Mesh(beater.vertices + at, beater.faces) for at in places)]
-    )
+    beaters = (Mesh(beater.vertices + at, beater.faces) for at in places)
+    return merge_closed_meshes([loft(rings, [handle(bow, 12, 0.014, 0.011)]), *beaters])
 
 
 def espresso_machine(width: float = 0.105, height: float = 0.22) -> Mesh:
@@ -474,10 +462,8 @@ def espresso_machine(width: float = 0.105, height: float = 0.22) -> Mesh:
     base = _rounded_block((-0.085, -y, -z), (0.085, y, -z + 0.035))
     column = _rounded_block((-0.085, -0.8 * y, -z + 0.02), (-0.025, 0.8 * y, z - 0.03), layers=5)
     head = _rounded_block((-0.09, -y, z - 0.075), (0.07, y, z))
-    filter_handle = _bent_bar(
-        [(0.03, z - 0.085), (0.08, z - 0.088), (0.13, z - 0.095), (0.18, z - 0.10)], 9, 0.014, 0.013
-    )
-    return merge_closed_meshes([base, column, head, filter_handle])
+    bar = [(0.03, z - 0.085), (0.08, z - 0.088), (0.13, z - 0.095), (0.18, z - 0.10)]
+    return merge_closed_meshes([base, column, head, _bent_bar(bar, 9, 0.014, 0.013)])
 
 
 def capsule_machine(width: float = 0.085, height: float = 0.20) -> Mesh:

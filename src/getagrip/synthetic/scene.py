@@ -26,10 +26,14 @@ from getagrip.hands import generic
 from getagrip.hands.grips import CATEGORY_PRIORS, Grip
 from getagrip.hands.model import hand_track, mirrored
 from getagrip.result import Axis
-from getagrip.synthetic import in_hand_motion
 from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
 from getagrip.synthetic.grasp import Grasper, SignedDistance, looseness, perturb_grip
-from getagrip.synthetic.in_hand_motion import draw_egocentric_poses, draw_other_hand
+from getagrip.synthetic.in_hand_motion import (
+    draw_egocentric_poses,
+    draw_hinge_motion,
+    draw_measured_motion,
+    draw_other_hand,
+)
 from getagrip.synthetic.noise import perturbed
 from getagrip.synthetic.objects import draw_deformation
 from getagrip.synthetic.scene_options import SceneOptions
@@ -114,18 +118,15 @@ def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
 
     T_base = grasper.approach(grip)
     if options.motion == "measured":
-        moved = in_hand_motion.draw_measured_motion(
-            grasper, T_base, grasped, options.frames, _independent_rng(category, seed, 3)
-        )
+        own = _independent_rng(category, seed, 3)
+        moved = draw_measured_motion(grasper, T_base, grasped, options.frames, own)
     else:
-        moved = in_hand_motion.draw_hinge_motion(grasper, T_base, options, rng)
+        moved = draw_hinge_motion(grasper, T_base, options, rng)
     T_hand_grasped, posed = moved.T_hand_obj, moved.posed
-    middle = (
-        posed.joints[:, 9].mean(axis=0) + se3.transform(T_hand_grasped, grasped.centre[None]).mean(axis=0)[0]
-    ) / 2.0
-    T_world_cam, T_world_hand = draw_egocentric_poses(
-        T_hand_grasped[0], middle, grasped.diameter, options.frames, moves
-    )
+    centre = se3.transform(T_hand_grasped, grasped.centre[None]).mean(axis=0)[0]
+    middle = (posed.joints[:, 9].mean(axis=0) + centre) / 2.0
+    pose, diameter = T_hand_grasped[0], grasped.diameter
+    T_world_cam, T_world_hand = draw_egocentric_poses(pose, middle, diameter, options.frames, moves)
     T_cam_hand = se3.inverse(T_world_cam) @ T_world_hand
     unknown = 1.0 if options.scale == "known" else float(rng.uniform(0.8, 1.25))
     T_grasped_cad, size = np.eye(4), 1.0

@@ -165,7 +165,6 @@ def _equal_hypotheses(surface: ObjectSurface, hypotheses: Hypotheses, k: int) ->
 
 
 def _pairwise_link_cost(footage: TimelineInputs, one: Anchor, other: Anchor) -> Float[ndarray, "K L"]:
-    """Compute the link cost of each pair of hypotheses of two neighbouring anchors."""
     mesh, (before, end), (after, begin) = footage.clip.mesh, one.end(-1), other.end(0)
     problems = [anchor.solutions.problem for anchor in (one, other) if anchor.solutions is not None]
     weight = max_link_cost(problems[0]) if problems else float(min(one.found.energy.min(), other.found.energy.min()))

@@ -196,7 +196,6 @@ def fit_in_all_frames(solutions: GraspSolutions, k: int, neighbours: Sequence[Ne
 
 
 def _refit_with_links(problem: Problem, found: MethodResult, neighbours: Sequence[Neighbour]) -> MethodResult:
-    """Refit a result with its links."""
     assert isinstance(found.motion, Soft)
     terms = linked_energy(problem, neighbours)(COMPARISON_RESOLUTION_PX, np.arange(len(problem.clip)))
     solution = minimise(found.motion, terms, problem.clip.hand.T_cam_hand, N_FINAL_ITERATIONS)

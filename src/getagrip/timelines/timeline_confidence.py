@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.checks import INPUT_CHECKS
-from getagrip.checks.calibration import PROBABILITY_MEANING as MEANING_ALONE
+from getagrip.checks.calibration import PROBABILITY_MEANING
 from getagrip.checks.features import compute_features
 from getagrip.checks.timeline_checks import check_timeline
 from getagrip.clip import Clip, Segment, other_evidence
@@ -31,9 +31,8 @@ from getagrip.timelines.transitions import TimelineMotion
 
 N_JUDGED_CANDIDATES = 4
 """Number of a grasp's solutions that its features compare, the chosen one included: as many as a search ends with."""
-TIMELINE_PROBABILITY_MEANING = (
-    f"{MEANING_ALONE.format('hand')}; calibrated on single grasps, a rough guide for timelines"
-)
+TIMELINE_PROBABILITY_MEANING = PROBABILITY_MEANING.format("hand")
+TIMELINE_PROBABILITY_MEANING += "; calibrated on single grasps, a rough guide for timelines"
 """Meaning of a grasp's probability of being right (docs/checks.md)."""
 
 
@@ -63,7 +62,6 @@ def judge_timeline(footage: TimelineInputs, chain: Chain, answer: TimelineAnswer
 
 
 def _summarise_segment(clip: Clip, segment: Segment, motion: TimelineMotion, iou: Float[ndarray, "T"]) -> SegmentResult:
-    """Summarise the result of one segment."""
     rows, is_grasp = segment.rows, segment.state == "grasp"
     seen = iou[rows][~np.isnan(iou[rows])]
     grasp = motion.grasps.get(segment.first) if is_grasp else None
@@ -104,11 +102,7 @@ def read_grasp_signs(track: GraspTrack) -> dict[str, float]:
     mask, *_ = soft_energy(problem)(COMPARISON_RESOLUTION_PX, np.arange(len(problem.clip)))
     assert found.motion is not None
     missed = float(mask(poses_in_camera(found.motion, problem.clip.hand.T_cam_hand), np.full(1, np.inf)).value.sum())
-    result = replace(
-        found,
-        poses=PosesInHand(R, centre, distinct.scale),
-        energy=solutions.energy[best],
-        terms=found.terms | {"mask": missed},
-    )
+    poses, terms = PosesInHand(R, centre, distinct.scale), found.terms | {"mask": missed}
+    result = replace(found, poses=poses, energy=solutions.energy[best], terms=terms)
     sampled = at_sampled_frames(problem, result)
     return compute_features(solved_of(solutions.grasp.clip, problem, result, sampled, sampled))

@@ -106,7 +106,6 @@ def _sca_iou_metric(least: float) -> Metric:
 
 
 def _closed_mesh_fraction(it: Comparison) -> float:
-    """Fraction of the meshes without holes."""
     closed = [mesh.is_closed for mesh in it.meshes if mesh is not None]
     if not closed:
         raise MissingPartError

@@ -165,9 +165,8 @@ def _fit_moving_parts(
     for k, frames in enumerate(parts):
         before = parts[k - 1][-1] + 1 - FIT_OVERLAP_FRAMES if k else 0
         after = parts[k + 1][0] + FIT_OVERLAP_FRAMES if k + 1 < len(parts) else len(clip)
-        around = np.arange(
-            max(0, before, frames[0] - FIT_CONTEXT_FRAMES), min(len(clip), after, frames[-1] + 1 + FIT_CONTEXT_FRAMES)
-        )
+        first, end = frames[0] - FIT_CONTEXT_FRAMES, frames[-1] + 1 + FIT_CONTEXT_FRAMES
+        around = np.arange(max(0, before, first), min(len(clip), after, end))
         for by, seen, known in hands:
             with suppress(NothingToFitError):
                 fits.append(fit_hinge(by, seen, frames[known[frames]], around[known[around]], options))

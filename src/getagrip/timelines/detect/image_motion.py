@@ -120,7 +120,6 @@ def _homographies(clip: Clip, s: int, t: int, depth: float) -> list[Float[ndarra
 
 
 def _displacement(H: Float[ndarray, "3 3"] | None, uv: Float[ndarray, "2"]) -> float:
-    """Return the displacement of a point by a homography [px]."""
     if H is None:
         return 0.0
     x, y, w = H @ [*uv, 1.0]

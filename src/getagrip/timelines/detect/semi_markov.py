@@ -103,14 +103,10 @@ def window_costs(moved: ImageMotion, fits: Sequence[HingeFit]) -> Float[ndarray,
     frames = np.arange(T)
     length = frames[None] - frames[:, None] + 1.0
     known = np.log(CONTOUR_SAMPLES_PER_FRAME * np.maximum(length, 1.0))
-    free = length * N_POSE_PARAMETERS / 2.0 * np.log(CONTOUR_SAMPLES_PER_FRAME)
-    cost = np.stack(
-        [
-            _static_cost(moved) + N_POSE_PARAMETERS / 2.0 * known,
-            _in_hand_cost(fits, T, moved.jitter) + N_HINGE_PARAMETERS / 2.0 * known,
-            free,
-        ]
-    )
+    cost = np.empty((len(MOTION_STATES), T, T))
+    cost[0] = _static_cost(moved) + N_POSE_PARAMETERS / 2.0 * known
+    cost[1] = _in_hand_cost(fits, T, moved.jitter) + N_HINGE_PARAMETERS / 2.0 * known
+    cost[2] = length * N_POSE_PARAMETERS / 2.0 * np.log(CONTOUR_SAMPLES_PER_FRAME)
     cost += np.log(T)
     shortest = np.array([MIN_SEGMENT_FRAMES[motion] for motion in MOTION_STATES])
     return np.where(length >= shortest[:, None, None], cost, np.inf)
@@ -118,9 +114,8 @@ def window_costs(moved: ImageMotion, fits: Sequence[HingeFit]) -> Float[ndarray,
 
 def _static_cost(moved: ImageMotion) -> Float[ndarray, "T T"]:
     """Misfit of a static object: each frame against the frame ``lags`` before it, or against the window's first."""
-    each = residual(
-        moved.moved / (np.hypot(STATIC_CONTOUR_SIGMA_PX, moved.jitter) + PARALLAX_SIGMA_FRACTION * moved.by_camera)
-    )
+    sigma = np.hypot(STATIC_CONTOUR_SIGMA_PX, moved.jitter) + PARALLAX_SIGMA_FRACTION * moved.by_camera
+    each = residual(moved.moved / sigma)
     L, T = each.shape
     out = np.zeros((T, T))
     for i in range(T):

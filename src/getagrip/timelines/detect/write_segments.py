@@ -43,10 +43,8 @@ def write_grasps(clip: Clip, masks: Masks, found: DetectedSegments, folder: Path
     Images of the clip's folder are copied. Folders of an earlier call are replaced.
     """
     grasps = [one for one in found.segments if one.segment.state == "grasp"]
-    return [
-        _write_grasp(clip, masks, found, one, folder / f"{clip.name}{CLIP_NAME_SEPARATOR}{n}")
-        for n, one in enumerate(grasps, 1)
-    ]
+    stem = f"{clip.name}{CLIP_NAME_SEPARATOR}"
+    return [_write_grasp(clip, masks, found, one, folder / f"{stem}{n}") for n, one in enumerate(grasps, 1)]
 
 
 def _write_grasp(clip: Clip, masks: Masks, found: DetectedSegments, one: DetectedSegment, folder: Path) -> Path:
@@ -67,7 +65,6 @@ def _write_grasp(clip: Clip, masks: Masks, found: DetectedSegments, one: Detecte
 
 
 def _write_clip_part(part: Clip, masks: Masks, clip: Clip, rows: Int[ndarray, "n"], folder: Path) -> Path:
-    """Write some frames of a clip as a new clip."""
     images = [clip.image_file(int(n)) for n in rows]
     with files.new_folder(folder, ("clip.json",) if folder.exists() else ()) as new:
         write_clip_contents(new, part, masks, None)
