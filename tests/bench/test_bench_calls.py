@@ -13,8 +13,8 @@ from getagrip.bench.grasp_job import GraspTrial
 from getagrip.bench.timelines import ALL_NOISE_LEVELS, TIMELINE_NOISE_LEVELS
 from getagrip.cli import main
 from getagrip.cli.bench import BENCHES
-from getagrip.synthetic.categories import SYNTHETIC_PRESETS
 from getagrip.synthetic.noise import NOISE_PRESETS
+from getagrip.synthetic.scene_options import SYNTHETIC_PRESETS
 from helpers.environment import Run
 
 

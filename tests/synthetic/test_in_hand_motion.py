@@ -18,7 +18,6 @@ from getagrip.stable_grasps.axis import (
     parabola_share,
     spectrum,
 )
-from getagrip.synthetic.categories import SYNTHETIC_PRESETS
 from getagrip.synthetic.in_hand_motion import (
     MAX_ABS_Z_SCORE,
     MOTION_STATISTICS,
@@ -27,6 +26,7 @@ from getagrip.synthetic.in_hand_motion import (
 )
 from getagrip.synthetic.objects import bottle, draw_deformation, misfit
 from getagrip.synthetic.scene import make_scene, synthesise
+from getagrip.synthetic.scene_options import SYNTHETIC_PRESETS
 from helpers.measures import correlation_time
 
 SMALL = replace(SYNTHETIC_PRESETS["measured"], frames=12, size=(160, 120), focal=150.0)

@@ -14,10 +14,10 @@ from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.warp import align_similarity
-from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES, SYNTHETIC_PRESETS, clips_of_split
+from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES, clips_of_split
 from getagrip.synthetic.noise import perturb_mask_boundary
 from getagrip.synthetic.scene import clip_name, make_scene, render_pictures, synthesise
-from getagrip.synthetic.scene_options import SceneOptions
+from getagrip.synthetic.scene_options import SYNTHETIC_PRESETS, SceneOptions
 from helpers.scenes import SHORT, scene
 
 FEW = SHORT

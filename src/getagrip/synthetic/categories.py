@@ -1,4 +1,4 @@
-"""The categories of synthetic clips, and the clips of the ``synthetic`` benchmark: presets and splits.
+"""The categories of synthetic clips, and the clips of the ``synthetic`` benchmark: its splits.
 
 All presets have the same motions and grasps (``wild`` and ``measured`` have other shapes), with different hands and
 masks. Clips of train and validation share nothing: a clip's random stream comes from its category and seed, and their
@@ -8,7 +8,7 @@ seeds differ.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -16,23 +16,11 @@ import numpy as np
 from getagrip.errors import UsageError
 from getagrip.geometry.mesh import Mesh
 from getagrip.synthetic import objects
-from getagrip.synthetic.noise import NOISE_PRESETS
-from getagrip.synthetic.scene_options import SceneOptions
+from getagrip.synthetic.scene_options import SYNTHETIC_PRESETS, SceneOptions
 
 Split = Literal["train", "validation"]
 _EPIC_NAMES = "bottle bowl can cup glass mug pan plate saucepan"
 _ARCTIC_NAMES = "box capsule_machine espresso_machine kettle ketchup laptop microwave mixer notebook phone scissors"
-SYNTHETIC_PRESETS: dict[str, SceneOptions] = {
-    "clean": SceneOptions(),
-    "moderate": SceneOptions(**asdict(NOISE_PRESETS["moderate"])),
-    "strong": SceneOptions(**asdict(NOISE_PRESETS["strong"])),
-    "estimated": SceneOptions(**asdict(NOISE_PRESETS["estimated"])),
-    "wild": SceneOptions(**asdict(NOISE_PRESETS["moderate"]), cad="mean", vary=0.15, scale="free"),
-    "measured": SceneOptions(
-        **asdict(NOISE_PRESETS["moderate"]), cad="mean", vary=0.15, deform=0.03, scale="free", motion="measured"
-    ),
-}
-"""Options by name: exact inputs; noisy hands and masks; only the mean shape, without its size, as for videos."""
 FORMER_PRESET_NAMES = {"hamer": "moderate", "frankmocap": "strong"}
 """Former names of presets."""
 SPLIT_SEEDS: dict[Split, range] = {"train": range(100_000, 100_005), "validation": range(200_000, 200_009)}

@@ -146,7 +146,7 @@ def _align_loop(
 def parse_profile(
     corners: str, across: float, along: float, right: float = 0.0, up: float = 0.0
 ) -> list[tuple[float, float]]:
-    """Parse corners "a b, a b, ...", in units of two sizes of the object, to metres; add ``right`` and ``up`` to them."""
+    """Parse corners "a b, a b, ...", in units of two sizes of the object, to metres, and add ``right`` and ``up``."""
     pairs = [pair.split() for pair in corners.split(",")]
     return [(float(a) * across + right, float(b) * along + up) for a, b in pairs]
 

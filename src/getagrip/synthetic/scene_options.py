@@ -1,12 +1,12 @@
-"""Options of a synthetic clip."""
+"""Options of a synthetic clip, and presets of them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Literal
 
 from getagrip.io.options import check_values
-from getagrip.synthetic.noise import Noise
+from getagrip.synthetic.noise import NOISE_PRESETS, Noise
 
 
 @dataclass(frozen=True)
@@ -56,3 +56,14 @@ class SceneOptions(Noise):
 
 DEMO_SCENE_OPTIONS = SceneOptions(hand_jitter_deg=0.5, hand_jitter_mm=0.5, mask_ragged_px=0.7)
 """Options of ``getagrip demo``: small noise on hands and masks; 30 frames of 1-DoF motion with a small residual."""
+SYNTHETIC_PRESETS: dict[str, SceneOptions] = {
+    "clean": SceneOptions(),
+    "moderate": SceneOptions(**asdict(NOISE_PRESETS["moderate"])),
+    "strong": SceneOptions(**asdict(NOISE_PRESETS["strong"])),
+    "estimated": SceneOptions(**asdict(NOISE_PRESETS["estimated"])),
+    "wild": SceneOptions(**asdict(NOISE_PRESETS["moderate"]), cad="mean", vary=0.15, scale="free"),
+    "measured": SceneOptions(
+        **asdict(NOISE_PRESETS["moderate"]), cad="mean", vary=0.15, deform=0.03, scale="free", motion="measured"
+    ),
+}
+"""Options by name: exact inputs; noisy hands and masks; only the mean shape, without its size, as for videos."""
