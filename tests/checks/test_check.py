@@ -61,9 +61,9 @@ CHECKS = {check.name: check for check in (*INPUT_CHECKS.values(), *RESULT_CHECKS
             0.08,
             "was deformed by 7.8 mm, so its shape is an assumption (usual: at most 6 % of its diameter);",
         ),
-        ("mesh-deformed", 0.03, "was deformed by 7.8 mm, so its shape is an assumption; it is not the object's own"),
+        ("mesh-deformed", 0.03, "by 7.8 mm, so its shape is an assumption; the mesh is not the object's own"),
         ("jump", 0.5, "the object jumps by 50 % of its diameter more than"),
-        ("floats", 20.0, "it lies 20 mm above the support plane (usual: at most 15 mm);"),
+        ("floats", 20.0, "the object lies 20 mm above the support plane (usual: at most 15 mm);"),
         ("outlier-masks", 0.25, "1 of 4 masks contradicts the others and was left out: frame 0002; --given-masks"),
     ],
 )

@@ -49,7 +49,7 @@ class Glitches:
     def __str__(self) -> str:
         where, more = "frame" if len(self.frames) == 1 else "frames", len(self.frames) - MAX_NAMED_FRAMES
         names = ", ".join(self.frames[:MAX_NAMED_FRAMES]) + (f" and {more} more" if more > 0 else "")
-        what = "the hand leaves its path and returns (tracker glitch), and was flipped back or interpolated"
+        what = "the hand leaves its path and returns (tracker glitch); it was flipped back or interpolated"
         return f"{what}: {where} {names}"
 
 

@@ -36,7 +36,7 @@ GRASP_CHECKS = (
 """Checks that assume a grasp, applied to the grasping hand."""
 MIN_SEEN_GRASP_FRAMES = 2
 """Minimum number of frames of a grasp that must show the object."""
-UNSEEN_ADVICE = "there is no evidence for this grasp: add masks there, or remove it if it is another object's"
+UNSEEN_ADVICE = "this grasp has no evidence: add masks, or remove it if it is of another object"
 MASK_CHECKS = ("mask-fit", "poor-mask-fit", "worst-frame", "uneven-mask-fit")
 """Checks of any segment's result."""
 
@@ -218,6 +218,6 @@ JUMP_CHECK = Check(
 )  # fmt: skip
 FLOATING_CHECK = Check(
     "floats", support_height, low=-15.0, high=15.0, serious=False, shown=format_millimetres,
-    fault="it lies {value} above the support plane",
-    advice="right if it lies on something else; else check world_support, the mesh's size and the camera",
+    fault="the object lies {value} above the support plane",
+    advice="right if it lies on another object; else check world_support, the mesh's size and the camera",
 )  # fmt: skip
