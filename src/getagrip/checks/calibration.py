@@ -12,7 +12,7 @@ Results are kept by conformal risk control, for each kind of input. Among the n 
 as t, w are wrong. A result of probability p is kept for a share s where (w + 1) / (n + 1) <= 1 - s at some t <= p:
 among similar results at least this share of the kept ones is right. The probability of a calibration result comes from
 a fit without results of the same object. For measured hands, the largest threshold counts: the rule holds for exact
-hands and for those of each level of errors.
+hands and at each level of errors.
 
 The candidate set of a result is the smallest that contains the right candidate with 90 %, by the same rule among the
 results for which no smaller set suffices. Where the largest size is insufficient there is no set.

@@ -167,7 +167,7 @@ class Evidence:
 
     @cached_property
     def small_hand_pixels(self) -> Bool[ndarray, "T h w"]:
-        """The hand masks in small images; the ignore masks where there are none."""
+        """The hand masks in small images; without hand masks, the ignore masks."""
         if self.masks.hand is None:
             return self.small_ignore
         return np.stack([_subsample_mask(mask, self._zoom, self._small) for mask in self.masks.hand])

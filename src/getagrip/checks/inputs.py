@@ -160,7 +160,7 @@ def reordering_gain(it: Evidence) -> float:
 
 
 def mask_delay(it: Evidence) -> MaskDelay:
-    """Find the shift at which the hands best overlap their masks, or the ignored pixels where there are none."""
+    """Find the shift at which the hands best overlap their masks or, without hand masks, the ignored pixels."""
     pixels, known = it.small_hand_pixels, it.masks.known
     best = MaskDelay(0, 1.0 if pixels[known].any() and len(pixels) >= MIN_ORDER_FRAMES else float("nan"))
     overlap, when = _pairwise_iou(it.drawn_hands, pixels), it.clip.time * it.clip.fps

@@ -162,7 +162,7 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
     Check(
         "uneven-mask-fit", results.min_iou_ratio, low=results.UNEVEN_IOU_RATIO, serious=False, shown=format_percent,
         fault=results.describe_low_iou_frames,
-        advice="look at these frames: draw the part of the object that their masks lack, or correct the hand there",
+        advice="look at these frames: draw the part of the object that their masks lack, or correct the hand in them",
     ),
     Check(
         "many-outlier-masks", lambda it: it.outlier_share, high=0.3, shown=format_percent,

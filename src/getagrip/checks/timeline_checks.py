@@ -166,8 +166,8 @@ def _check_segment(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[
     applied = (*MASK_CHECKS, *GRASP_CHECKS) if grasped else MASK_CHECKS
     checks = [check for check in RESULT_CHECKS.working().values() if check.name in applied]
     checks += [*SEGMENT_CHECKS, *((STATIC_CHECK, FLOATING_CHECK) if segment.state == "static" else ())]
-    there = [one for one in modalities() if one.of(seen_at) is not None]
-    checks += [check for one in there for check in (*one.input_checks, *one.result_checks)]
+    present = [one for one in modalities() if one.of(seen_at) is not None]
+    checks += [check for one in present for check in (*one.input_checks, *one.result_checks)]
     measured, findings = run_checks(checks, result)
     if not grasped:
         return measured, findings

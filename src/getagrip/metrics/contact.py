@@ -289,7 +289,7 @@ class StableContact:
 
     Attributes:
         sca: stable contact area: mean over pairs of different frames.
-        diagonal: the mean over all pairs, including those of each frame with itself.
+        diagonal: the mean over all pairs, including each frame with itself.
         share: (T,) fraction of points in contact, in each frame.
     """
 

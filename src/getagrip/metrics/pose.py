@@ -2,7 +2,7 @@
 
 ``PoseErrors``: ADD, rotation and translation, up to the object's symmetries.
 
-The others are of poses in the camera, per frame. Areas under the curves of ADD and ADD-S are those of YCB-Video
+All others are of poses in the camera, per frame. Areas under the curves of ADD and ADD-S follow YCB-Video
 (PoseCNN), up to 10 cm, by exact integration. BOP's MSSD and MSPD (Hodan et al., ECCVW 2020) are the maximum distance of
 the object's vertices, in space and in the image, minimised over its symmetries. BOP's visible surface discrepancy (VSD;
 Hodan et al., ECCV 2018 and ECCVW 2020) compares depth images of two poses in a scene; pixels without depth count as
@@ -195,7 +195,7 @@ def area_under_curve(error: Float[ndarray, "T"]) -> Float[ndarray, "T"]:
 
 
 def all_symmetries(symmetries: Symmetries) -> Float[ndarray, "S 4 4"]:
-    """Return all symmetries; those about continuous axes at even angles."""
+    """Return all symmetries, with even angles about continuous axes."""
     free = len(symmetries.axes)
     if free == 0:
         return symmetries.elements

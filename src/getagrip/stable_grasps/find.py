@@ -196,7 +196,7 @@ def _blocks(frames: int) -> Iterator[slice]:
 
 
 def _earliest_starts(iou: Float[ndarray, "T T"] | PairwiseIou, tau: float) -> Int[ndarray, "T"]:
-    """For each frame the earliest start of a stable interval that ends there; the next frame where no interval does."""
+    """For each frame the earliest start of a stable interval that ends in it; without any, the next frame."""
     starts = np.zeros(len(iou), dtype=np.int64)
     earliest = 0
     for rows in _blocks(len(iou)):

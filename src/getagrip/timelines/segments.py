@@ -255,7 +255,7 @@ def select_static_frames(segment: Segment, shown: Bool[ndarray, "T"]) -> Int[nda
 def static_hypotheses(problem: Problem, frames: int, support: bool, start: Hypotheses | None = None) -> Hypotheses:
     """Search for one pose of a static segment of ``frames`` frames, by the problem at some of them.
 
-    ``start`` holds further start poses (those of its first frame). ``support`` adds the energy of the support plane.
+    ``start`` holds further start poses, of its first frame. ``support`` adds the energy of the support plane.
     Raises ``GetagripError`` where nothing can be rendered.
     """
     assert problem.clip.world is not None

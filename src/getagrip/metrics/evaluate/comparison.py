@@ -162,7 +162,7 @@ class Comparison:
 
     @cached_property
     def errors_cam(self) -> PoseErrors:
-        """Errors of the object's pose in the camera; those in the hand, where the hand is the true one."""
+        """Errors of the object's pose in the camera; equal to the errors in the hand if the hand is the true one."""
         if self._hand_is_true:
             return self.errors
         return pose_errors(self.clip.mesh, self.predicted_in_camera, self.true_in_camera)

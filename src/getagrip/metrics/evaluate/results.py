@@ -341,7 +341,7 @@ def results_table(evaluations: Sequence[Evaluation]) -> Table:
 
     groups = group_by_method(evaluations)
     means = {method: _mean_metrics(group)["mean"] for method, group in groups.items()}
-    there = _mean_metrics(evaluations)["mean"]
+    overall = _mean_metrics(evaluations)["mean"]
     columns = [
         (f"{m.heading}\n{m.unit}", m, m.key(_OBJECT_CONTACT_DEFINITION))
         for m in METRICS.working().values()
@@ -351,7 +351,7 @@ def results_table(evaluations: Sequence[Evaluation]) -> Table:
         (f"SCA\n{_OBJECT_CONTACT_DEFINITION.distance}\n%", SCA, SCA.key(_OBJECT_CONTACT_DEFINITION)),
         ("true\nSCA\n%", TRUE_SCA, TRUE_SCA.key(_OBJECT_CONTACT_DEFINITION)),
     ]
-    columns = [column for column in columns if not np.isnan(there.get(column[2], np.nan))]
+    columns = [column for column in columns if not np.isnan(overall.get(column[2], np.nan))]
     if any(SCA.key(_OBJECT_CONTACT_DEFINITION) not in e.metrics for e in evaluations):  # new meshes in each frame
         columns.append(("hand\nSCA\n%", SCA, SCA.key(_HAND_CONTACT_DEFINITION)))
 
