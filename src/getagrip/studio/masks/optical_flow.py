@@ -36,10 +36,7 @@ SHOT_CHANGE_THRESHOLD = 10.0
 
 
 def fit_object_motion(
-    x: Float32[ndarray, "h w"],
-    y: Float32[ndarray, "h w"],
-    came: Origins,
-    inner: Bool[ndarray, "h w"],
+    x: Float32[ndarray, "h w"], y: Float32[ndarray, "h w"], came: Origins, inner: Bool[ndarray, "h w"]
 ) -> Origins | None:
     """Return the origins of all pixels if they move like the nearby ``inner`` pixels of the object.
 
@@ -71,10 +68,7 @@ def _blur_flow(values: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
 
 
 def motion_log_ratio(
-    came: Origins,
-    own: Origins,
-    ground: Origins | None,
-    off: Float32[ndarray, "h w"],
+    came: Origins, own: Origins, ground: Origins | None, off: Float32[ndarray, "h w"]
 ) -> Float32[ndarray, "h w"]:
     """Return the log ratio of the probabilities that a pixel moves with the object or with its surroundings."""
     import cv2

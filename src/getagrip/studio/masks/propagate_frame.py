@@ -192,10 +192,7 @@ def _track_mask_step(
     off = np.sqrt(np.einsum("hwc,hwc->hw", round_trip, round_trip))
 
     def old(u: Float32[ndarray, "h w"], v: Float32[ndarray, "h w"]) -> tuple[ndarray, ndarray]:
-        return (
-            np.clip(u + columns.start, 0, width - 1) - left,
-            np.clip(v + rows.start, 0, height - 1) - top,
-        )
+        return (np.clip(u + columns.start, 0, width - 1) - left, np.clip(v + rows.start, 0, height - 1) - top)
 
     inside = np.stack([warp_values(kind, old(*came), -float(MAX_SIGNED_DISTANCE_PX)) for kind in now.inside])
     if hand is not None:
