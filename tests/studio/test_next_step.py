@@ -13,15 +13,15 @@ from getagrip.geometry import se3
 from getagrip.result import write_result
 from getagrip.result.findings import Finding
 from getagrip.studio.jobs import RequestedMesh
-from getagrip.studio.masks.suggest_frame import (
+from getagrip.studio.next_step import (
     MASK_CONFIDENCE_THRESHOLD,
     MAX_SUGGESTED_FRAMES,
     MIN_MASK_IOU,
     discount_confidence,
     lost_frames,
+    next_step,
     suggest_frame,
 )
-from getagrip.studio.next_step import next_step
 from helpers.clips import small_clip
 from helpers.results import true_result
 

@@ -28,8 +28,7 @@ from getagrip.studio.detect_grasps import boxes_of_polygons
 from getagrip.studio.hands.detect_hands import DETECTED_HANDS_FOLDER, DRAFTS_FOLDER, HandDetectionFiles
 from getagrip.studio.jobs import BackgroundJob, BackgroundQueue, Work
 from getagrip.studio.masks.propagate_clip import keyframe_spans
-from getagrip.studio.masks.suggest_frame import discount_confidence, lost_frames, suggest_frame
-from getagrip.studio.next_step import next_step
+from getagrip.studio.next_step import discount_confidence, lost_frames, next_step, suggest_frame
 from getagrip.studio.store import history, labels
 from getagrip.studio.store import labels as store_labels
 from getagrip.studio.store.export_clip import footage_checksum

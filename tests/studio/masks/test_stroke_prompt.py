@@ -14,8 +14,7 @@ from numpy import ndarray
 from getagrip.errors import UsageError
 from getagrip.studio.masks import box_prompt, stroke_prompt
 from getagrip.studio.masks.box_prompt import Box, empty_side, segment_box, segment_box_by_motion
-from getagrip.studio.masks.click_prompt import click_motion_log_ratio
-from getagrip.studio.masks.stroke_prompt import apply_strokes, keyframe_label_maps
+from getagrip.studio.masks.stroke_prompt import apply_strokes, click_motion_log_ratio, keyframe_label_maps
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL, FrameLabels, Labels
 
 SIZE = (160, 120)

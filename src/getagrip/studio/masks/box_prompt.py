@@ -9,11 +9,6 @@ from jaxtyping import Bool, UInt8
 from numpy import ndarray
 
 from getagrip.errors import UsageError
-from getagrip.studio.masks.click_prompt import (
-    MOVING_LOG_RATIO_THRESHOLD,
-    STATIC_LOG_RATIO_THRESHOLD,
-    click_motion_log_ratio,
-)
 from getagrip.studio.masks.graph_cut import (
     UNSEEN_COLOUR_PROBABILITY,
     ColourHistogram,
@@ -22,7 +17,14 @@ from getagrip.studio.masks.graph_cut import (
     remove_object_colours,
 )
 from getagrip.studio.masks.propagate_frame import Image, Images
-from getagrip.studio.masks.stroke_prompt import bounding_slices, resize_mask, segment_region
+from getagrip.studio.masks.stroke_prompt import (
+    MOVING_LOG_RATIO_THRESHOLD,
+    STATIC_LOG_RATIO_THRESHOLD,
+    bounding_slices,
+    click_motion_log_ratio,
+    resize_mask,
+    segment_region,
+)
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL
 
 Box = tuple[float, float, float, float]

@@ -52,7 +52,6 @@ from getagrip.studio.masks.propagate_frame import (
     signed_distance,
     track_mask,
 )
-from getagrip.studio.masks.stroke_prompt import refine_full_resolution
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
 
 SIDE_PRIOR_WEIGHT = 0.5
@@ -160,6 +159,17 @@ def _redraw_border(
     )
 
 
+BORDER_SEARCH_PX = 2.5
+"""The border moves by less than this [px of the smaller size]."""
+SIDE_INTERIOR_PX = 0.8
+"""Pixels farther from it than this count for their side's colours [px of the smaller size]."""
+COLOUR_WINDOW_RADIUS_PX = 4.0
+"""Half side of the squares in which colours are averaged: small, but from wherever the border may be they reach both
+sides [px of the smaller size]."""
+BORDER_SMOOTHING_PX = 0.5
+"""Standard deviation of the Gaussian that smooths the border [px of the smaller size]."""
+SIDE_COLOUR_SIGMA = 4.0
+"""Standard deviation of a side's colours [of 255]."""
 OBJECT_WORKING_SIZE_PX = 200.0
 """Masks are carried at a size at which the object's longer side is about so long [px]."""
 MAX_UPSCALED_PIXELS = 1e6
@@ -371,3 +381,34 @@ def _detached_parts(labels: UInt8[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
         covered |= edge
     beside = np.bincount(parts[covered], minlength=count) > 0
     return ((areas > 0) & (areas < MIN_COMPONENT_AREA_RATIO * areas[largest]) & ~beside)[parts]
+
+
+def refine_full_resolution(
+    image: UInt8[ndarray, "H W 3"], inside: Float32[ndarray, "H W"], zoom: float
+) -> Bool[ndarray, "H W"]:
+    """Draw the border anew, near the one that signed distances give [px of the smaller size].
+
+    ``zoom``: how many times larger the image is.
+    """
+    import cv2
+
+    near = np.abs(inside) < BORDER_SEARCH_PX
+    if not near.any():
+        return np.asarray(inside > 0.0)
+    margin = round((BORDER_SEARCH_PX + COLOUR_WINDOW_RADIUS_PX) * zoom)
+    rows, columns = (slice(max(0, int(i.min()) - margin), int(i.max()) + margin) for i in np.nonzero(near))
+    part = rows, columns
+    colours = cv2.cvtColor(np.ascontiguousarray(image[part]), cv2.COLOR_RGB2LAB).astype(np.float32)
+    square = (2 * round(COLOUR_WINDOW_RADIUS_PX * zoom) + 1,) * 2
+    apart = []
+    for side in (inside[part] > SIDE_INTERIOR_PX, inside[part] < -SIDE_INTERIOR_PX):
+        weight = side.astype(np.float32)
+        total = cv2.boxFilter(weight, -1, square) + 1e-4
+        mean = cv2.boxFilter(colours * weight[..., None], -1, square) / total[..., None]
+        off = colours - mean
+        apart.append(np.einsum("hwc,hwc->hw", off, off) + SIDE_COLOUR_SIGMA**2)
+    score = inside[part] / BORDER_SEARCH_PX + (apart[1] - apart[0]) / (apart[1] + apart[0])
+    found = inside > 0.0
+    smooth = cv2.GaussianBlur(score, (0, 0), BORDER_SMOOTHING_PX * zoom)
+    found[part] = np.where(near[part], smooth > 0.0, found[part])
+    return np.asarray(found)
