@@ -31,7 +31,7 @@ from getagrip.studio.masks.graph_cut import (
 )
 from getagrip.studio.masks.optical_flow import SmallFrames, hand_displacement
 from getagrip.studio.masks.propagate_frame import Images
-from getagrip.studio.masks.stroke_prompt import refine_full_resolution
+from getagrip.studio.masks.propagate_clip import refine_full_resolution
 
 SIZE, STEP = (160, 120), (9.0, 4.0)
 BOX = (30.0, 25.0, 40.0, 30.0)

@@ -209,13 +209,13 @@ def test_grasps_of_long_names_that_are_alike_have_files_of_their_own() -> None:
 
 
 @pytest.mark.parametrize("names", [("cover", "picture-01"), ("a-01", "b-01")])
-def test_images_without_a_number_of_their_own_are_refused(tmp_path: Path, names: tuple[str, str]) -> None:
+def test_images_without_a_unique_number_are_refused(tmp_path: Path, names: tuple[str, str]) -> None:
     """A clip would not find their hands, or take those of others."""
 
     def name(n: int) -> str:
         return names[n] if n < len(names) else f"picture-{n:02d}"
 
-    with pytest.raises(UsageError, match=r"needs a number of its own .* \(got (cover|a-01)\)"):
+    with pytest.raises(UsageError, match=r"needs a unique number .* \(got (cover|a-01)\)"):
         write_labelled_clip_files(labels_of(0, LAST), image, Lens(focal=FOCAL), tmp_path / "made", name=name)
     assert not (tmp_path / "made").exists()
 
@@ -235,7 +235,7 @@ def test_a_checksum_finds_footage_under_another_name(tmp_path: Path) -> None:
     assert tasks_of_labels(given, [other, renamed]) == [renamed]
     named = task(tmp_path / "cup.mp4", b"of the same name")
     assert tasks_of_labels(given, [named, other, renamed]) == [renamed]
-    with pytest.raises(RefusedError, match="another file than the one that was labelled"):
+    with pytest.raises(RefusedError, match="another file than the labelled one"):
         tasks_of_labels(given, [named, other])
     with pytest.raises(RefusedError, match="none has this name or checksum"):
         tasks_of_labels(given, [other])

@@ -28,44 +28,43 @@ from getagrip.studio.masks.propagate_frame import FLOW_CONSISTENCY_PX, Hands, Im
 from getagrip.studio.store.labels import OBJECT_LABEL, FrameLabels, Labels
 
 MAX_GRABCUT_SIDE_PX = 480
-"""Largest side of the image part that GrabCut runs on [px]."""
+"""Largest side of the image crop that GrabCut runs on [px]."""
 STROKE_WIDTH_FRACTION = 0.008
-"""Width of a stroke, as a share of the image's shorter side."""
+"""Width of a stroke, as a fraction of the image's shorter side."""
 MIN_OBJECT_REACH, MAX_OBJECT_REACH = 0.25, 0.45
-"""The object reaches no farther from the strokes than their extent, limited to these shares of the image's shorter
-side; from a single click, no farther than the larger one."""
+"""Limits of the object's reach beyond its strokes, as fractions of the image's shorter side: in between, the reach is
+the strokes' extent; from a single click, it is the larger limit."""
 MAX_CLICK_EXTENT = 0.05
-"""Strokes of an extent less than this share are a click."""
+"""Extent of strokes, as a fraction of the image's shorter side, below which they are a click."""
 CORRECTION_RADIUS_FRACTION = 0.12
-"""Polygons are corrected within this share of the image's shorter side from a stroke."""
+"""Distance from a stroke within which polygons are corrected, as a fraction of the image's shorter side."""
 STROKE_GRABCUT_ITERATIONS = 5
-"""Rounds of GrabCut."""
 CLICK_MOTION_IMAGE_PX = 320
-"""Longer side of the images in which motion is looked at [px]."""
+"""Longer side of the images in which motion is measured [px]."""
 COMPARED_FRAME_OFFSETS = (-36, -24, -16, -8, -4, 4, 8, 16, 24, 36)
-"""Frames that are looked at, from the one of the click."""
+"""Frames in which motion is measured, relative to the click's frame."""
 CLICK_RADIUS_FRACTION, MIN_SURROUNDINGS_DISTANCE = 0.05, 0.3
-"""Pixels nearer to the click are the object's, and those farther the surroundings', in shorter sides of the image."""
+"""Distances from the click, in shorter sides of the image: nearer pixels are the object's, and beyond the second number
+they are the surroundings'."""
 CLICK_HAND_DILATION_PX = 9
-"""Side of the square by which the hand is widened: its flow reaches beyond it [px]."""
+"""Side of the square by which the hand is dilated: its flow reaches beyond its border [px]."""
 INDEPENDENT_MOTION_LOG_RATIO = 2.0
-"""Log ratio, by which a pixel moves rather as something of its own than as the object."""
+"""Log ratio by which a pixel moves independently rather than as the object."""
 MIN_CLICK_EVIDENCE = 1.0
 """Evidence at the click below which nothing has moved."""
-
 MOVING_LOG_RATIO_THRESHOLD, STATIC_LOG_RATIO_THRESHOLD = 0.5, -1.5
-"""Pixels with more of the click's motion show the object's colours first; below the second, the ground's."""
+"""Log ratios of motion: pixels above the first number show the object's colours, below the second the background's."""
 MOTION_DEAD_ZONE, MOTION_EVIDENCE_RANGE = 0.3, (-2.0, 0.75)
-"""Motion that is no evidence, and the least and the most log ratio: it reaches 1 at three times as much."""
+"""Log ratio of motion that is no evidence, and limits of the evidence, which is 1 at three times the dead zone."""
 CLICK_COLOUR_WEIGHT, MAX_CLICK_LOG_RATIO = 1.5, 6.0
-"""Weight of the log ratio of colours, and the largest one."""
+"""Weight of the log ratio of colours, and its largest absolute value."""
 N_CLICK_ITERATIONS = 3
 
 
 def keyframe_label_maps(
     labels: Labels, image: Images, hand: Hands = lambda _: None
 ) -> dict[int, UInt8[ndarray, "H W"]]:
-    """Return ``labels.label_maps``, those with strokes completed by what the image shows."""
+    """Return the label maps of key frames, ``labels.label_maps`` with strokes and clicks completed from the images."""
     maps = labels.label_maps()
     for n in maps:
         frame = labels.frames[n]
@@ -77,7 +76,7 @@ def keyframe_label_maps(
 def _click_motion(
     labels: Labels, n: int, image: Images, hand: Bool[ndarray, "h w"] | None
 ) -> Float32[ndarray, "H W"] | None:
-    """Return what moves with the clicks on a frame; None where polygons or longer strokes say more."""
+    """Return the log ratio of moving with the clicks on a frame; None where polygons or longer strokes are drawn."""
     frame, shape = labels.frames[n], labels.size[::-1]
     on = _rasterize_strokes(frame.on or (), shape)
     if frame.object or not on.any() or max(map(np.ptp, np.nonzero(on))) >= MAX_CLICK_EXTENT * min(shape):
@@ -93,7 +92,7 @@ def apply_strokes(
     hand: Bool[ndarray, "h w"] | None = None,
     motion: Float32[ndarray, "H W"] | None = None,
 ) -> UInt8[ndarray, "H W"]:
-    """Return a frame's label map, ``drawn`` so far by polygons, after its strokes; ``motion``: see ``click_motion``."""
+    """Return a frame's label map, ``drawn`` by polygons, after its strokes; ``motion``: ``click_motion_log_ratio``."""
     import cv2
 
     shape = drawn.shape
@@ -129,6 +128,7 @@ def _rasterize_strokes(strokes: Sequence[Float[ndarray, "_ 2"]], shape: tuple[in
 
 
 def resize_mask(mask: Bool[ndarray, "h w"], shape: tuple[int, ...]) -> Bool[ndarray, "H W"]:
+    """Resize a mask to a shape (height, width), by linear interpolation."""
     import cv2
 
     return np.asarray(cv2.resize(mask.astype(np.float32), shape[1::-1], interpolation=cv2.INTER_LINEAR) > 0.5)
@@ -137,7 +137,7 @@ def resize_mask(mask: Bool[ndarray, "h w"], shape: tuple[int, ...]) -> Bool[ndar
 def bounding_slices(
     mask: Bool[ndarray, "H W"], shape: tuple[int, ...], margin: float | None = None
 ) -> tuple[slice, slice]:
-    """Return rows and columns around the marked pixels; all if none is marked."""
+    """Return rows and columns around a mask's pixels, by a ``margin`` [px] or the object's reach; all if none."""
     if not mask.any():
         return slice(0, shape[0]), slice(0, shape[1])
     short, marked = min(shape[:2]), np.nonzero(mask)
@@ -164,9 +164,10 @@ def segment_region(
     motion: Float32[ndarray, "H W"] | None = None,
     hand: Bool[ndarray, "H W"] | None = None,
 ) -> Bool[ndarray, "H W"]:
-    """Return what is found in a part of the image: by motion, if that is known, else by GrabCut.
+    """Segment the object in a ``part`` of the image: by ``motion`` where it is known, else by GrabCut.
 
-    GrabCut begins with its labels or, without any, with the strokes' colours. Parts count as one across the ``hand``.
+    ``on`` pixels are the object's, ``off`` pixels never. GrabCut starts from the labels ``start`` or, without, from the
+    colours of ``on``. Components that only the ``hand`` separates count as one.
     """
     import cv2
 
@@ -202,7 +203,7 @@ def _grabcut(
     sure: Bool[ndarray, "h w"],
     never: Bool[ndarray, "h w"],
 ) -> Bool[ndarray, "h w"]:
-    """Return what GrabCut finds; without labels it begins with the colours of what is sure."""
+    """Run GrabCut; without labels it starts from the colours of the ``sure`` pixels."""
     import cv2
 
     if labels is None:
@@ -224,7 +225,7 @@ def _grabcut(
 
 
 def _largest_component(mask: Bool[ndarray, "h w"], hand: UInt8[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
-    """Return the largest part of a mask; pieces that only the hand separates are one."""
+    """Return the largest component of a mask; pieces that only the hand separates are one."""
     import cv2
 
     if not mask.any():
@@ -237,10 +238,10 @@ def _largest_component(mask: Bool[ndarray, "h w"], hand: UInt8[ndarray, "h w"]) 
 def click_motion_log_ratio(
     images: Images, frame: int, interval: tuple[int, int], click: Bool[ndarray, "H W"], hand: Bool[ndarray, "H W"]
 ) -> Float32[ndarray, "H W"] | None:
-    """Return the log ratio of the probabilities that a pixel moves with what was clicked, or with the surroundings.
+    """Return the log ratio of the probabilities that a pixel moves with the click, or with the surroundings.
 
-    It is in multiples of that at the click, but for the sign no less than 1 there. None where the click has not moved
-    in the frames of the ``interval``, ends included.
+    Positive values are relative to the click's own, so that it is 1 there. None where the click has not moved in the
+    frames of the ``interval``, ends included.
     """
     import cv2
 
@@ -288,9 +289,9 @@ def segment_by_click_motion(
     sure: Bool[ndarray, "h w"],
     never: Bool[ndarray, "h w"],
 ) -> Bool[ndarray, "h w"]:
-    """Return the object by its motion (``click_motion_log_ratio``) and by the colours of what moves so.
+    """Segment the object by its motion (``click_motion_log_ratio``), and by the colours of the moving pixels.
 
-    Motion stays evidence when the colours are counted again: a part in another colour is not lost.
+    Motion remains evidence when colours are counted again, so a part in another colour is not lost.
     """
     at, edge = colour_bins(image), edge_cost(image)
     moved = np.clip((motion - MOTION_DEAD_ZONE) / (2.0 * MOTION_DEAD_ZONE), *MOTION_EVIDENCE_RANGE)
