@@ -78,7 +78,7 @@ def test_reach_and_release_are_left_out_by_masks_and_a_key_is_carried() -> None:
     grasp = trim_reach(there, shot.image, known, lambda _: None)
     assert grasp.extents[0][1] == FRAMES - 1
     assert abs(grasp.extents[0][0] - ARRIVES) <= 3
-    assert "reaches for it before; --all-frames takes all" in grasp.said
+    assert "reaches for it before; --all-frames uses all" in grasp.said
     back = Labels("it", (320, 240), "left", 30.0, 0, FRAMES - 1, {n: square(shot, FRAMES - 1 - n) for n in known})
     turned = {FRAMES - 1 - n: each for n, each in known.items()}
     grasp = trim_reach(back, lambda n: shot.image(FRAMES - 1 - n), turned, lambda _: None)

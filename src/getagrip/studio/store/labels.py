@@ -28,7 +28,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Literal, get_args
@@ -100,9 +100,10 @@ class Labels:
         return [n for n, frame in sorted(self.frames.items()) if frame.object is not None or frame.on]
 
     def label_maps(self) -> dict[int, UInt8[ndarray, "H W"]]:
-        """Make label maps from polygons, of the frames ``drawn``: 0, ``OBJECT_LABEL``, ``OCCLUDER_LABEL``, ``HAND_LABEL``.
+        """Make label maps from polygons, of the frames ``drawn``.
 
-        ``stroke_prompt.keyframe_label_maps`` uses strokes, too.
+        Values are 0, ``OBJECT_LABEL``, ``OCCLUDER_LABEL`` or ``HAND_LABEL``. ``stroke_prompt.keyframe_label_maps`` uses
+        strokes, too.
         """
         return {n: _render_label_map(self.frames[n], self.size) for n in self.drawn}
 
@@ -388,16 +389,23 @@ def apply_keyframe_change(keyframe: KeyFrame, sets: Json, size: tuple[int, int])
     new = keyframe
     if keyframe.deleted:
         new = blank_keyframe(keyframe.task, keyframe.annotator, keyframe.grasp, keyframe.frame)
-    for name, check in (("joints", _checked_joint), ("outlines", _checked_outline)):
-        if not isinstance(changed := sets.get(name, {}), dict):
-            raise RefusedError(f"{name} must be an object (got {shorten_value(changed)})")
-        values = getattr(new, name) | {key: check(key, value, size) for key, value in changed.items()}
-        new = replace(new, **{name: {key: value for key, value in values.items() if value is not None}})
-    new = replace(new, hidden=sets.get("hidden", new.hidden))
+    joints = _changed_values(new.joints, sets, "joints", _checked_joint, size)
+    outlines = _changed_values(new.outlines, sets, "outlines", _checked_outline, size)
+    new = replace(new, joints=joints, outlines=outlines, hidden=sets.get("hidden", new.hidden))
     for kind in MIN_SHAPE_POINTS:
         if sum(one["of"] == kind for one in new.outlines.values()) > MAX_POLYGONS_PER_KIND:
             raise RefusedError(f"outlines must be at most {MAX_POLYGONS_PER_KIND} of one kind on a frame")
     return new if new.joints or new.outlines or new.hidden else replace(new, deleted=True)
+
+
+def _changed_values(
+    old: Json, sets: Json, name: str, check: Callable[[str, object, tuple[int, int]], object], size: tuple[int, int]
+) -> Json:
+    """Check and apply the new values of a field; null removes a value."""
+    if not isinstance(changed := sets.get(name, {}), dict):
+        raise RefusedError(f"{name} must be an object (got {shorten_value(changed)})")
+    values = old | {key: check(key, value, size) for key, value in changed.items()}
+    return {key: value for key, value in values.items() if value is not None}
 
 
 def _checked_joint(key: str, value: object, size: tuple[int, int]) -> Point | str | None:

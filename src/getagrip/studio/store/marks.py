@@ -311,7 +311,7 @@ class Interaction:
         return out
 
     def listed(self) -> SegmentList:
-        """Return the segments of a segment file, in frames of a clip. Raises ``RefusedError`` where segments overlap."""
+        """Return the entry of a segment file, in frames of a clip. Raises ``RefusedError`` where segments overlap."""
         if overlaps := self.overlaps():
             raise RefusedError(" ".join(overlaps))
         order = sorted((mark for _, mark in self.finished), key=lambda mark: mark.start or 0)
