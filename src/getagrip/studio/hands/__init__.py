@@ -1,4 +1,4 @@
-"""Hands in images: MediaPipe's palm detector and hand landmarks, without its package; hands followed over a clip."""
+"""Hands in a video: MediaPipe's palm detector and hand landmarks without its package, tracking, lifting and masks."""
 
 from getagrip.studio.hands.hand_pixels import hand_mask
 from getagrip.studio.hands.hand_selection import HandLandmarks, Side, select_hand, unbiased_log_odds
