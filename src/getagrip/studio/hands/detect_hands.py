@@ -1,8 +1,8 @@
 """Detect the hand of a video without clicks: landmarks, 3D hands and masks, for the page and for ``clip new``.
 
 The folder ``found`` beside the marks holds ``hand.npz``, a hand file whose ``frames`` are numbered from 1 and whose
-``joints_2d`` (T, 21, 2) [px] are the landmarks, and ``masks/<number>.png``, non-zero where the hand is visible. Both are
-optional when the folder is read.
+``joints_2d`` (T, 21, 2) [px] are the landmarks, and ``masks/<number>.png``, non-zero where the hand is visible. Both
+are optional when the folder is read.
 """
 
 from __future__ import annotations
@@ -153,9 +153,9 @@ def find_landmarks(
 ) -> HandLandmarks:
     """Find the hand in the frames of an interval, from 0, both ends included.
 
-    ``box`` is the object's in the first frame (left, top, width, height) [px]. ``on_frame`` is called before each frame.
-    Raises ``UsageError`` where no hand is found, or the video is cut within the interval, and ``InputError`` for a frame
-    that does not decode.
+    ``box`` is the object's in the first frame (left, top, width, height) [px]; ``on_frame`` is called before each
+    frame. Raises ``UsageError`` where no hand is found, or the video is cut within the interval, and ``InputError`` for
+    a frame that does not decode.
     """
     (first, last), scale = interval, None
     count = last - first + 1
@@ -179,7 +179,7 @@ def find_landmarks(
 def _track_object_box(
     small: Sequence[UInt8[ndarray, "h w 3"]], scale: float, box: Float[ndarray, "4"]
 ) -> dict[int, Float[ndarray, "4"]]:
-    """Track the object's box [px] through reduced frames, since of two hands at the object the one that stays grasps it."""
+    """Track the object's box [px] through reduced frames: of two hands at the object, the one that stays grasps it."""
     size = np.array(small[0].shape[1::-1], dtype=float)
     low, high = (np.clip(scale * corner, 0.0, size) for corner in (box[:2], box[:2] + box[2:]))
     if (high - low).min() < MIN_BOX_SIDE_PX:

@@ -1,8 +1,8 @@
 """MediaPipe's palm detector and landmark network: their files, and how they are run.
 
-LiteRT runs them, or OpenCV if its outputs for a reference input are the known ones: OpenCV 4.11 computes wrong 3D points
-without an error. The files (Apache-2.0, Google) are downloaded once, by pip, from a release of MediaPipe on the user's
-package index; their hashes are checked whenever they are loaded.
+LiteRT runs them, or OpenCV if its outputs for a reference input are the known ones: OpenCV 4.11 computes wrong 3D
+points without an error. The files (Apache-2.0, Google) are downloaded once, by pip, from a release of MediaPipe on the
+user's package index; their hashes are checked whenever they are loaded.
 """
 
 from __future__ import annotations
