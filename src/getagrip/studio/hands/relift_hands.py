@@ -177,10 +177,10 @@ def relift_other_side(
 def write_relifted_hands(found: Path, out: Path, side: Side, numbers: Mapping[int, int], maps: LabelMaps) -> None:
     """Write the hands of a file ``found`` to ``out``, lifted again.
 
-    ``numbers`` are the frame numbers of ``out`` by index from 0; ``found`` counts frames from 1. If the file's side is a
-    guess and only the other side agrees with the joints hidden by the object, the hand becomes one of that side. Hands
-    of an estimator, and hands that cannot be lifted, stay unchanged. Both are printed as notes. Raises ``InputError``
-    for a malformed file, ``UsageError`` for unchanged hands of another side than ``side``.
+    ``numbers`` are the frame numbers of ``out`` by index from 0; ``found`` counts frames from 1. If the file's side is
+    a guess and only the other side agrees with the joints hidden by the object, the hand becomes one of that side.
+    Hands of an estimator, and hands that cannot be lifted, stay unchanged. Both are printed as notes. Raises
+    ``InputError`` for a malformed file, ``UsageError`` for unchanged hands of another side than ``side``.
     """
     content = arrays.read(found, lambda key: key in {"frames", "K", "side", JOINTS_DEPTH_KEY} or is_provenance_key(key))
     places = arrays.frame_numbers(found, content)
