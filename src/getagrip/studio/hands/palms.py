@@ -32,7 +32,7 @@ HAND_INPUT_PX = 224
 PALM_CROP_SCALE_SHIFT = (2.6, 0.5)
 """Side of a palm's crop in sides of the palm's box, and its shift towards the fingers in heights of the box."""
 LANDMARK_CROP_SCALE_SHIFT = (2.0, 0.1)
-"""The same for the box of ``RIGID_LANDMARKS``."""
+"""Side and shift of a hand's crop, in sizes of the box of ``RIGID_LANDMARKS``."""
 RIGID_LANDMARKS = np.array([0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18])
 """Landmarks up to the middle joints of the fingers, which bent fingers hardly move."""
 
