@@ -118,8 +118,8 @@ def suggest_frame(confidence: Mapping[int, float], drawn: Collection[int], first
     """Return the frame from ``first`` to ``last`` on which drawing helps most; None if no frame is needed.
 
     ``confidence`` is that of the frames' masks; frames without one are still being drafted. A drawn frame at a distance
-    d is assumed to raise a frame's confidence by the fraction 1 - d / D of what it lacks, with D the frame's distance from
-    the frames drawn before.
+    d is assumed to raise a frame's confidence by the fraction 1 - d / D of what it lacks, with D the frame's distance
+    from the frames drawn before.
     """
     if not drawn:
         return first

@@ -47,118 +47,6 @@ from getagrip.studio.masks.propagate_frame import (
 )
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
 
-SIDE_PRIOR_WEIGHT = 0.5
-"""Weight of signed distances, in multiples of ``BORDER_SIGMA_PX``, relative to the log ratio of colours."""
-AGREED_PIXEL_COST = 10.0
-"""Cost of a pixel whose label differs from both masks' common label."""
-MIN_BORDER_CERTAINTY, AGREED_BORDER_CERTAINTY = 0.1, 0.2
-"""Certainty of the merged border before it is redrawn, where both masks differ and where they agree; 0: colours alone
-decide. Near a key frame the certainty is higher."""
-
-
-def merge_masks(
-    one: TrackedMask, other: TrackedMask, share: float, frame: SmallFrame, colours: Sequence[ColourHistogram]
-) -> tuple[TrackedMask, float]:
-    """Merge two masks of a ``frame`` into one; also return its confidence, from their intersection over union.
-
-    ``share`` is the frame's position between the key frames of both, 0 to 1; ``colours`` are the key frames'.
-    """
-    left, top = np.minimum(one.corner, other.corner).tolist()
-    ends = [np.add(each.corner, each.inside.shape[:0:-1]) for each in (one, other)]
-    width, height = (np.maximum(*ends) - (left, top)).tolist()
-    (a, known_a), (b, known_b) = (place_in_window(each, (left, top), (width, height)) for each in (one, other))
-    trust_a, trust_b = (1.0 - share) * one.trust, share * other.trust
-    weight_a, weight_b = trust_a * known_a + 1e-6, trust_b * known_b + 1e-6
-    share_b = weight_b / (weight_a + weight_b)
-    inside = (a + (b - a) * share_b).astype(np.float32)
-    front_a, front_b = (np.clip(each[1:], -2.0 * BORDER_SIGMA_PX, 2.0 * BORDER_SIGMA_PX) for each in (a, b))
-    inside[1:] = front_a + (front_b - front_a) * (trust_b + 1e-6) / (trust_a + trust_b + 2e-6)
-    hidden = is_occluded(inside)
-    shown_a, shown_b = known_a >= SEEN_PIXEL_CONFIDENCE / 2.0, known_b >= SEEN_PIXEL_CONFIDENCE / 2.0
-    both = shown_a & shown_b & (inside[1:] <= 0).all(axis=0)
-    in_a, in_b = a[0] > 0, b[0] > 0
-    union = np.count_nonzero(both & (in_a | in_b))
-    agreement = np.count_nonzero(both & in_a & in_b) / union if union else 1.0
-    part = slice(top, top + height), slice(left, left + width)
-    image, at = frame.image[part], frame.bins[part]
-    if (inside[0] > -MAX_SIGNED_DISTANCE_PX).any() and at.size:
-        side_a, side_b = (np.clip(each[0] / BORDER_SIGMA_PX, -2.0, 2.0) for each in (a, b))
-        likely = colour_log_ratio(at, colours[0]) + _merge_ground_evidence((one, other), (left, top), (width, height))
-        likely = np.clip(likely, -MAX_COLOUR_LOG_RATIO, MAX_COLOUR_LOG_RATIO)
-        in_a, in_b = np.where(shown_b & ~shown_a, in_b, in_a), np.where(shown_a & ~shown_b, in_a, in_b)
-        alike = AGREED_BORDER_CERTAINTY * np.exp(-np.square((a[0] - b[0]) / BORDER_SIGMA_PX)) * (shown_a & shown_b)
-        nearest = np.square(np.maximum(weight_a, weight_b))
-        certain = np.maximum(MIN_BORDER_CERTAINTY, np.maximum(alike, nearest)).astype(np.float32)
-        found = _resolve_disagreement(image, in_a, in_b, side_a + (side_b - side_a) * share_b, likely * ~hidden)
-        inside[0] = _redraw_border(image, at, found, certain, likely, colours[0], hidden)
-    known = np.maximum(known_a, known_b)
-    confidence = _merge_confidence(agreement, share, one.trust, other.trust)
-    return one._replace(corner=(left, top), inside=inside, known=known), confidence
-
-
-def _merge_confidence(agreement: float, share: float, trust: float, other_trust: float) -> float:
-    """Return the fraction of the merged mask that is expected to be right.
-
-    A mask from beyond a cut has no trust and does not count: the other one's trust does.
-    """
-    if trust > 0.0 and other_trust > 0.0:
-        return float(1.0 - 4.0 * share * (1.0 - share) * (1.0 - agreement) ** 2)
-    return float(min(agreement, max(trust, other_trust)))
-
-
-def _resolve_disagreement(
-    image: UInt8[ndarray, "h w 3"],
-    one: Bool[ndarray, "h w"],
-    other: Bool[ndarray, "h w"],
-    sides: Float32[ndarray, "h w"],
-    likely: Float32[ndarray, "h w"],
-) -> Bool[ndarray, "h w"]:
-    """Return the pixels of both masks, and those of one mask that signed distances ``sides`` and colours support."""
-    agreed = np.where(one, -AGREED_PIXEL_COST, AGREED_PIXEL_COST)
-    cost = np.where(one ^ other, -(likely + SIDE_PRIOR_WEIGHT * sides), agreed)
-    return minimal_cut(cost.astype(np.float32), edge_cost(image), np.add(one, other, dtype=np.float32) / 2.0)
-
-
-def _merge_ground_evidence(
-    some: Sequence[TrackedMask], corner: tuple[int, int], size: tuple[int, int]
-) -> Float32[ndarray, "h w"]:
-    """Return ``TrackedMask.unlike`` of the background that fits a pixel best, if one does."""
-    found = np.zeros((len(some), *size[::-1]), np.float32)
-    for out, each in zip(found, some, strict=True):
-        (left, top), (h, w) = np.subtract(each.corner, corner).tolist(), each.unlike.shape
-        out[top : top + h, left : left + w] = each.unlike
-    least = found.min(axis=0)
-    return np.where(least < 0.0, least, found.max(axis=0))
-
-
-def _redraw_border(
-    image: UInt8[ndarray, "h w 3"],
-    at: Int32[ndarray, "h w"],
-    found: Bool[ndarray, "h w"],
-    certain: Float32[ndarray, "h w"],
-    likely: Float32[ndarray, "h w"],
-    colours: ColourHistogram,
-    hidden: Bool[ndarray, "h w"],
-) -> Float32[ndarray, "h w"]:
-    """Redraw a border by the key frames' colours and the nearby ones of this image; return signed distances [px]."""
-    inside = signed_distance(found)
-    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in found.shape[::-1]))
-    here = colour_log_ratio(at, colours, LocalColourHistogram.of(at, found, ~hidden & (np.abs(inside) > 1.0)), (x, y))
-    limited = np.clip(here, -MAX_COLOUR_LOG_RATIO, MAX_COLOUR_LOG_RATIO)
-    return refine_border(image, inside, certain, limited + likely, hidden)
-
-
-BORDER_SEARCH_PX = 2.5
-"""Largest shift of the border at full size [px of the reduced size]."""
-SIDE_INTERIOR_PX = 0.8
-"""Distance from the border beyond which pixels count for the colours of their side [px of the reduced size]."""
-COLOUR_WINDOW_RADIUS_PX = 4.0
-"""Half side of the squares in which colours are averaged: small, but reaching both sides from any place of the border
-[px of the reduced size]."""
-BORDER_SMOOTHING_PX = 0.5
-"""Standard deviation of the Gaussian that smooths the border [px of the reduced size]."""
-SIDE_COLOUR_SIGMA = 4.0
-"""Standard deviation of a side's colours [of 255]."""
 OBJECT_WORKING_SIZE_PX = 200.0
 """Longer side of the object in the reduced images in which masks are propagated [px]."""
 MAX_UPSCALED_PIXELS = 1e6
@@ -170,6 +58,24 @@ VANISHED_AREA_FRACTION, SHRUNK_AREA_FRACTION, MAX_SHRINKING_FRAMES = 0.05, 0.4, 
 from the shrinking's start, at most this number of frames earlier."""
 ADJACENCY_KERNEL_PX = 9
 """Side of the square around a pixel within which other pixels are adjacent [px]."""
+SIDE_PRIOR_WEIGHT = 0.5
+"""Weight of signed distances, in multiples of ``BORDER_SIGMA_PX``, relative to the log ratio of colours."""
+AGREED_PIXEL_COST = 10.0
+"""Cost of a pixel whose label differs from both masks' common label."""
+MIN_BORDER_CERTAINTY, AGREED_BORDER_CERTAINTY = 0.1, 0.2
+"""Certainty of the merged border before it is redrawn, where both masks differ and where they agree; 0: colours alone
+decide. Near a key frame the certainty is higher."""
+BORDER_SEARCH_PX = 2.5
+"""Largest shift of the border at full size [px of the reduced size]."""
+SIDE_INTERIOR_PX = 0.8
+"""Distance from the border beyond which pixels count for the colours of their side [px of the reduced size]."""
+COLOUR_WINDOW_RADIUS_PX = 4.0
+"""Half side of the squares in which colours are averaged: small, but reaching both sides from any place of the border
+[px of the reduced size]."""
+BORDER_SMOOTHING_PX = 0.5
+"""Standard deviation of the Gaussian that smooths the border [px of the reduced size]."""
+SIDE_COLOUR_SIGMA = 4.0
+"""Standard deviation of a side's colours [of 255]."""
 
 
 class PropagatedLabels(NamedTuple):
@@ -359,6 +265,98 @@ def _detached_parts(labels: UInt8[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
         covered |= edge
     beside = np.bincount(parts[covered], minlength=count) > 0
     return ((areas > 0) & (areas < MIN_COMPONENT_AREA_RATIO * areas[largest]) & ~beside)[parts]
+
+
+def merge_masks(
+    one: TrackedMask, other: TrackedMask, share: float, frame: SmallFrame, colours: Sequence[ColourHistogram]
+) -> tuple[TrackedMask, float]:
+    """Merge two masks of a ``frame`` into one; also return its confidence, from their intersection over union.
+
+    ``share`` is the frame's position between the key frames of both, 0 to 1; ``colours`` are the key frames'.
+    """
+    left, top = np.minimum(one.corner, other.corner).tolist()
+    ends = [np.add(each.corner, each.inside.shape[:0:-1]) for each in (one, other)]
+    width, height = (np.maximum(*ends) - (left, top)).tolist()
+    (a, known_a), (b, known_b) = (place_in_window(each, (left, top), (width, height)) for each in (one, other))
+    trust_a, trust_b = (1.0 - share) * one.trust, share * other.trust
+    weight_a, weight_b = trust_a * known_a + 1e-6, trust_b * known_b + 1e-6
+    share_b = weight_b / (weight_a + weight_b)
+    inside = (a + (b - a) * share_b).astype(np.float32)
+    front_a, front_b = (np.clip(each[1:], -2.0 * BORDER_SIGMA_PX, 2.0 * BORDER_SIGMA_PX) for each in (a, b))
+    inside[1:] = front_a + (front_b - front_a) * (trust_b + 1e-6) / (trust_a + trust_b + 2e-6)
+    hidden = is_occluded(inside)
+    shown_a, shown_b = known_a >= SEEN_PIXEL_CONFIDENCE / 2.0, known_b >= SEEN_PIXEL_CONFIDENCE / 2.0
+    both = shown_a & shown_b & (inside[1:] <= 0).all(axis=0)
+    in_a, in_b = a[0] > 0, b[0] > 0
+    union = np.count_nonzero(both & (in_a | in_b))
+    agreement = np.count_nonzero(both & in_a & in_b) / union if union else 1.0
+    part = slice(top, top + height), slice(left, left + width)
+    image, at = frame.image[part], frame.bins[part]
+    if (inside[0] > -MAX_SIGNED_DISTANCE_PX).any() and at.size:
+        side_a, side_b = (np.clip(each[0] / BORDER_SIGMA_PX, -2.0, 2.0) for each in (a, b))
+        likely = colour_log_ratio(at, colours[0]) + _merge_ground_evidence((one, other), (left, top), (width, height))
+        likely = np.clip(likely, -MAX_COLOUR_LOG_RATIO, MAX_COLOUR_LOG_RATIO)
+        in_a, in_b = np.where(shown_b & ~shown_a, in_b, in_a), np.where(shown_a & ~shown_b, in_a, in_b)
+        alike = AGREED_BORDER_CERTAINTY * np.exp(-np.square((a[0] - b[0]) / BORDER_SIGMA_PX)) * (shown_a & shown_b)
+        nearest = np.square(np.maximum(weight_a, weight_b))
+        certain = np.maximum(MIN_BORDER_CERTAINTY, np.maximum(alike, nearest)).astype(np.float32)
+        found = _resolve_disagreement(image, in_a, in_b, side_a + (side_b - side_a) * share_b, likely * ~hidden)
+        inside[0] = _redraw_border(image, at, found, certain, likely, colours[0], hidden)
+    known = np.maximum(known_a, known_b)
+    confidence = _merge_confidence(agreement, share, one.trust, other.trust)
+    return one._replace(corner=(left, top), inside=inside, known=known), confidence
+
+
+def _merge_confidence(agreement: float, share: float, trust: float, other_trust: float) -> float:
+    """Return the fraction of the merged mask that is expected to be right.
+
+    A mask from beyond a cut has no trust and does not count: the other one's trust does.
+    """
+    if trust > 0.0 and other_trust > 0.0:
+        return float(1.0 - 4.0 * share * (1.0 - share) * (1.0 - agreement) ** 2)
+    return float(min(agreement, max(trust, other_trust)))
+
+
+def _resolve_disagreement(
+    image: UInt8[ndarray, "h w 3"],
+    one: Bool[ndarray, "h w"],
+    other: Bool[ndarray, "h w"],
+    sides: Float32[ndarray, "h w"],
+    likely: Float32[ndarray, "h w"],
+) -> Bool[ndarray, "h w"]:
+    """Return the pixels of both masks, and those of one mask that signed distances ``sides`` and colours support."""
+    agreed = np.where(one, -AGREED_PIXEL_COST, AGREED_PIXEL_COST)
+    cost = np.where(one ^ other, -(likely + SIDE_PRIOR_WEIGHT * sides), agreed)
+    return minimal_cut(cost.astype(np.float32), edge_cost(image), np.add(one, other, dtype=np.float32) / 2.0)
+
+
+def _merge_ground_evidence(
+    some: Sequence[TrackedMask], corner: tuple[int, int], size: tuple[int, int]
+) -> Float32[ndarray, "h w"]:
+    """Return ``TrackedMask.unlike`` of the background that fits a pixel best, if one does."""
+    found = np.zeros((len(some), *size[::-1]), np.float32)
+    for out, each in zip(found, some, strict=True):
+        (left, top), (h, w) = np.subtract(each.corner, corner).tolist(), each.unlike.shape
+        out[top : top + h, left : left + w] = each.unlike
+    least = found.min(axis=0)
+    return np.where(least < 0.0, least, found.max(axis=0))
+
+
+def _redraw_border(
+    image: UInt8[ndarray, "h w 3"],
+    at: Int32[ndarray, "h w"],
+    found: Bool[ndarray, "h w"],
+    certain: Float32[ndarray, "h w"],
+    likely: Float32[ndarray, "h w"],
+    colours: ColourHistogram,
+    hidden: Bool[ndarray, "h w"],
+) -> Float32[ndarray, "h w"]:
+    """Redraw a border by the key frames' colours and the nearby ones of this image; return signed distances [px]."""
+    inside = signed_distance(found)
+    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in found.shape[::-1]))
+    here = colour_log_ratio(at, colours, LocalColourHistogram.of(at, found, ~hidden & (np.abs(inside) > 1.0)), (x, y))
+    limited = np.clip(here, -MAX_COLOUR_LOG_RATIO, MAX_COLOUR_LOG_RATIO)
+    return refine_border(image, inside, certain, limited + likely, hidden)
 
 
 def refine_full_resolution(

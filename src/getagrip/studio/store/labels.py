@@ -31,7 +31,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -154,93 +154,61 @@ def _round_point(point: Float[ndarray, "2"]) -> list[float]:
 
 def parse_labels(content: files.Json, source: str | Path) -> Labels:
     """Parse and check the JSON of a label file. Raises ``InputError`` about the file ``source``."""
-    checked = _LabelParser(Path(source), content)
-    size = checked.size()
-    first = checked.whole("first", 0, MAX_FRAME_INDEX)
-    last = checked.whole("last", first, MAX_FRAME_INDEX)
+    path = Path(source)
+    needed = {"video", "size", "side", "fps", "first", "last", "frames"}
+    _check_label_keys(path, "", content, {*needed, "sha256"}, needed)
+
+    def check(key: str, fine: bool, expected: str) -> None:
+        if not fine:
+            raise InputError(path, key, shorten_value(content[key]), expected)
+
+    size, first, last, rate = (content[key] for key in ("size", "first", "last", "fps"))
+    most = f"at most {MAX_CLIP_IMAGE_PIXELS / 1e6:g} million in all"
+    check("size", _is_image_size(size), f"width and height in pixels, {most}")
+    for key, value, least in (("first", first, 0), ("last", last, first)):
+        fine = type(value) is int and least <= value <= MAX_FRAME_INDEX
+        check(key, fine, f"a whole number from {least} to {MAX_FRAME_INDEX}")
+    check("video", _is_file_name(content["video"]), "the name of a file, without folders")
+    check("side", content["side"] in get_args(Side), "left or right")
+    check("fps", _is_finite_number(rate) and 0.1 <= rate <= 10_000, "frames per second, 0.1 to 10000")
+    check("frames", isinstance(content["frames"], Mapping), "an object with a key for each frame")
+    frames = _parse_frames(path, content["frames"], (first, last), (size[0], size[1]))
+    checksum = content.get("sha256", "")
+    fine = isinstance(checksum, str) and re.fullmatch(r"([0-9a-f]{64})?", checksum) is not None
+    check("sha256", fine, "64 hexadecimal digits, as sha256sum prints them")
     return Labels(
-        video=checked.name("video"),
-        size=size,
-        side=checked.side(),
-        fps=checked.rate(),
-        first=first,
-        last=last,
-        frames=checked.frames(first, last, size),
-        sha256=checked.checksum("sha256"),
+        content["video"], (size[0], size[1]), content["side"], float(rate), first, last, frames, sha256=checksum
     )
 
 
-@dataclass(frozen=True)
-class _LabelParser:
-    """Checks of the JSON of one label file. Methods raise ``InputError``."""
+def _is_file_name(value: object) -> bool:
+    return isinstance(value, str) and files.is_portable_name(value)
 
-    path: Path
-    content: files.Json
 
-    def __post_init__(self) -> None:
-        needed = {"video", "size", "side", "fps", "first", "last", "frames"}
-        _check_label_keys(self.path, "", self.content, {*needed, "sha256"}, needed)
+def _is_image_size(value: object) -> bool:
+    if not isinstance(value, list | tuple) or len(value) != 2 or not all(type(n) is int and n > 0 for n in value):
+        return False
+    return max(value) <= MAX_CLIP_SIDE_PX and int(value[0] * value[1]) <= MAX_CLIP_IMAGE_PIXELS
 
-    def wrong(self, key: str, expected: str) -> InputError:
-        return InputError(self.path, key, files.shorten_value(self.content[key]), expected)
 
-    def name(self, key: str) -> str:
-        value = self.content[key]
-        if not isinstance(value, str) or not files.is_portable_name(value):
-            raise self.wrong(key, "the name of a file, without folders")
-        return value
-
-    def checksum(self, key: str) -> str:
-        value = self.content.get(key, "")
-        if not isinstance(value, str) or not re.fullmatch(r"([0-9a-f]{64})?", value):
-            raise self.wrong(key, "64 hexadecimal digits, as sha256sum prints them")
-        return value
-
-    def side(self) -> Side:
-        value: Literal["left", "right"] = self.content["side"]
-        if value not in get_args(Side):
-            raise self.wrong("side", "left or right")
-        return value
-
-    def rate(self) -> float:
-        value = self.content["fps"]
-        if not _is_finite_number(value) or not 0.1 <= value <= 10_000:
-            raise self.wrong("fps", "frames per second, 0.1 to 10000")
-        return float(value)
-
-    def whole(self, key: str, least: int, most: int) -> int:
-        value = self.content[key]
-        if type(value) is not int or not least <= value <= most:
-            raise self.wrong(key, f"a whole number from {least} to {most}")
-        return value
-
-    def size(self) -> tuple[int, int]:
-        value = self.content["size"]
-        pair = isinstance(value, list | tuple) and len(value) == 2 and all(type(n) is int and n > 0 for n in value)
-        if not pair or max(value) > MAX_CLIP_SIDE_PX or value[0] * value[1] > MAX_CLIP_IMAGE_PIXELS:
-            most = f"at most {MAX_CLIP_IMAGE_PIXELS / 1e6:g} million in all"
-            raise self.wrong("size", f"width and height in pixels, {most}")
-        return value[0], value[1]
-
-    def frames(self, first: int, last: int, size: tuple[int, int]) -> dict[int, FrameLabels]:
-        value = self.content["frames"]
-        if not isinstance(value, Mapping):
-            raise self.wrong("frames", "an object with a key for each frame")
-        out = {}
-        for text, frame in value.items():
-            where = f"frames.{files.printable(text)}"
-            if not re.fullmatch(r"0|[1-9][0-9]{0,7}", text) or not first <= int(text) <= last:
-                raise InputError(self.path, where, "a key that is no frame of the grasp", f"{first} to {last}")
-            if not isinstance(frame, Mapping):
-                raise InputError(self.path, where, files.shorten_value(frame), "an object")
-            _check_label_keys(self.path, where, frame, {"joints", *MIN_SHAPE_POINTS}, set())
-            joints = _parse_joints(self.path, f"{where}.joints", frame.get("joints"), size)
-            shapes = {
-                kind: _parse_polygons(self.path, f"{where}.{kind}", frame.get(kind), size, least)
-                for kind, least in MIN_SHAPE_POINTS.items()
-            }
-            out[int(text)] = FrameLabels(joints, **shapes)
-        return dict(sorted(out.items()))
+def _parse_frames(
+    path: Path, content: Mapping[str, object], extent: tuple[int, int], size: tuple[int, int]
+) -> dict[int, FrameLabels]:
+    out = {}
+    for text, frame in content.items():
+        where = f"frames.{files.printable(text)}"
+        if not re.fullmatch(r"0|[1-9][0-9]{0,7}", text) or not extent[0] <= int(text) <= extent[1]:
+            raise InputError(path, where, "a key that is no frame of the grasp", f"{extent[0]} to {extent[1]}")
+        if not isinstance(frame, Mapping):
+            raise InputError(path, where, shorten_value(frame), "an object")
+        _check_label_keys(path, where, frame, {"joints", *MIN_SHAPE_POINTS}, set())
+        joints = _parse_joints(path, f"{where}.joints", frame.get("joints"), size)
+        shapes = {
+            kind: _parse_polygons(path, f"{where}.{kind}", frame.get(kind), size, least)
+            for kind, least in MIN_SHAPE_POINTS.items()
+        }
+        out[int(text)] = FrameLabels(joints, **shapes)
+    return dict(sorted(out.items()))
 
 
 def _check_label_keys(path: Path, where: str, value: Mapping[str, object], known: set[str], needed: set[str]) -> None:
@@ -256,7 +224,7 @@ def _parse_joints(path: Path, key: str, value: object, size: tuple[int, int]) ->
     if value is None:
         return None
     if not isinstance(value, list | tuple) or len(value) != 21:
-        raise InputError(path, key, files.shorten_value(value), "21 points, null where there is none")
+        raise InputError(path, key, shorten_value(value), "21 points, null where there is none")
     rows = [
         [math.nan, math.nan] if point is None else _parse_point(path, f"{key}[{n}]", point, size)
         for n, point in enumerate(value)
@@ -268,12 +236,12 @@ def _parse_polygons(path: Path, key: str, value: object, size: tuple[int, int], 
     if value is None:
         return None
     if not isinstance(value, list | tuple) or len(value) > MAX_POLYGONS_PER_KIND:
-        raise InputError(path, key, files.shorten_value(value), f"at most {MAX_POLYGONS_PER_KIND} shapes [[x, y], ...]")
+        raise InputError(path, key, shorten_value(value), f"at most {MAX_POLYGONS_PER_KIND} shapes [[x, y], ...]")
     out = []
     for n, corners in enumerate(value):
         if not isinstance(corners, list | tuple) or not least <= len(corners) <= MAX_LABEL_POLYGON_CORNERS:
             expected = f"{least} to {MAX_LABEL_POLYGON_CORNERS} corners [x, y]"
-            raise InputError(path, f"{key}[{n}]", files.shorten_value(corners), expected)
+            raise InputError(path, f"{key}[{n}]", shorten_value(corners), expected)
         out.append(np.array([_parse_point(path, f"{key}[{n}][{k}]", corner, size) for k, corner in enumerate(corners)]))
     return tuple(out)
 
@@ -282,9 +250,9 @@ def _parse_point(path: Path, key: str, value: object, size: tuple[int, int]) -> 
     """Parse a point in the image, or outside it by no more than the image's size."""
     pair = isinstance(value, list | tuple) and len(value) == 2 and all(_is_finite_number(x) for x in value)
     if not pair or not isinstance(value, list | tuple):
-        raise InputError(path, key, files.shorten_value(value), "[x, y] in pixels")
+        raise InputError(path, key, shorten_value(value), "[x, y] in pixels")
     if not all(-side <= x <= 2 * side for x, side in zip(value, size, strict=True)):
-        raise InputError(path, key, files.shorten_value(value), f"a point in or about the {size[0]} x {size[1]} image")
+        raise InputError(path, key, shorten_value(value), f"a point in or about the {size[0]} x {size[1]} image")
     return [float(x) for x in value]
 
 

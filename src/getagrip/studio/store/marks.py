@@ -43,6 +43,17 @@ STATIC_CAMERA = "still"
 """Value of ``Mark.camera`` for a camera that did not move."""
 MARK_SETTABLE_FIELDS = frozenset({"start", "end", "side", "category", "entity", "reason", "state", "camera", "deleted"})
 """Fields that a change may set."""
+CONTACT_STATES = ("grasp", "contact")
+"""States in which a hand touches the object."""
+INTERACTION_FIELDS = ("mark", "start", "end", "start_number", "end_number", "side", "category")
+"""Fields of an interaction's mark that the page shows."""
+EPIC_GRASPS_COLUMNS = (
+    "vid", "st_bound", "ed_bound", "st", "ed", "contact", "handside", "cat", "hos_name", "mp4_name", "set_name",
+    "round", "duration", "n_unfiltered_masks", "n_filtered_masks", "good_CAD", "example", "fmt", "ablate_inithand",
+)  # fmt: skip
+"""Columns of EPIC-Grasps' table."""
+MAX_GRASP_NAME_LENGTH = 100
+"""Maximum length of a grasp's name in files [characters]."""
 MARKS_SCHEMA = """
 CREATE TABLE versions (
     seq INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -118,19 +129,15 @@ def _mark_from_row(row: Row) -> Mark:
 
 def _check_mark_fields(sets: Mapping[str, object]) -> None:
     """Raise ``RefusedError`` for invalid values of fields."""
+    choices = {"state": STATES, "camera": (STATIC_CAMERA,), "side": ("left", "right"), "reason": DISCARD_REASONS}
     for key, value in sets.items():
         if key == "deleted":
             fine, expected = isinstance(value, bool), "true or false"
         elif key in ("start", "end"):
             fine, expected = value is None or type(value) is int, "a frame"
-        elif key == "side":
-            fine, expected = value in ("left", "right"), "left or right"
-        elif key == "state":
-            fine, expected = value in STATES, f"one of {', '.join(STATES)}"
-        elif key == "camera":
-            fine, expected = value == STATIC_CAMERA, STATIC_CAMERA
-        elif key == "reason":
-            fine, expected = value is None or value in DISCARD_REASONS, f"one of {', '.join(DISCARD_REASONS)}"
+        elif key in choices:
+            fine = value in choices[key] or (key == "reason" and value is None)
+            expected = f"one of {', '.join(choices[key])}"
         else:
             fine = isinstance(value, str) and 0 < len(value.strip()) <= 200 and value.isprintable()
             expected = "a name of up to 200 letters"
@@ -227,10 +234,6 @@ def _agreement_of_pair(
     mean = float(np.mean(values)) if values else None
     half = float(np.mean(np.array(values) > 0.5)) if values else None
     return Agreement(first, second, len(shared), both, one, len(values), mean, half)
-
-
-CONTACT_STATES = ("grasp", "contact")
-"""States in which a hand touches the object."""
 
 
 @dataclass(frozen=True)
@@ -342,10 +345,6 @@ class Interaction:
         return f"Frame {a} is" if first == last else f"Frames {a} to {b} are"
 
 
-INTERACTION_FIELDS = ("mark", "start", "end", "start_number", "end_number", "side", "category")
-"""Fields of an interaction's mark that the page shows."""
-
-
 def is_interaction(marks: Sequence[Mark]) -> bool:
     """Return whether an annotator's marks of a task are a whole interaction, rather than independent grasps."""
     return any(mark.start is not None for mark in marks) and any(
@@ -377,13 +376,6 @@ def read_task_segments(path: Path, tasks: Sequence[Task]) -> list[tuple[Task, Se
 
 def _n_frames(mark: Mark) -> int:
     return (mark.end or 0) - (mark.start or 0) + 1
-
-
-EPIC_GRASPS_COLUMNS = (
-    "vid", "st_bound", "ed_bound", "st", "ed", "contact", "handside", "cat", "hos_name", "mp4_name", "set_name",
-    "round", "duration", "n_unfiltered_masks", "n_filtered_masks", "good_CAD", "example", "fmt", "ablate_inithand",
-)  # fmt: skip
-"""Columns of EPIC-Grasps' table."""
 
 
 def finished_grasps(marks: Sequence[Mark]) -> list[Mark]:
@@ -440,10 +432,6 @@ def discarded_tasks(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Ma
         for mark in marks
         if mark.reason
     ]
-
-
-MAX_GRASP_NAME_LENGTH = 100
-"""Maximum length of a grasp's name in files [characters]."""
 
 
 @dataclass(frozen=True)
