@@ -71,7 +71,7 @@ def square(shot: Shot, n: int) -> FrameLabels:
     return FrameLabels(object=(np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]]),))
 
 
-def test_reach_and_release_are_left_out_by_masks_and_a_key_is_carried() -> None:
+def test_reach_and_release_are_left_out_by_masks_and_a_key_is_propagated() -> None:
     shot = Shot()
     known = {n: shot.joints(n) for n in range(FRAMES)}
     there = Labels("it", (320, 240), "left", 30.0, 0, FRAMES - 1, {n: square(shot, n) for n in range(FRAMES)})
@@ -88,7 +88,7 @@ def test_reach_and_release_are_left_out_by_masks_and_a_key_is_carried() -> None:
 
 
 @pytest.mark.slow
-def test_the_first_mask_is_carried_to_the_grasp() -> None:
+def test_the_first_mask_is_propagated_to_the_grasp() -> None:
     shot = Shot(arrives=8, lifts=12)
     known = {n: shot.joints(n) for n in range(20)}
     one = Labels("it", (320, 240), "left", 30.0, 0, 19, {0: square(shot, 0)})

@@ -118,7 +118,7 @@ def test_a_token_is_neither_short_nor_read_through_a_link(tmp_path: Path) -> Non
         assert len(persistent_token(token)) >= 20
 
 
-def test_another_port_is_taken_where_the_usual_one_is_not_free(project: Project, monkeypatch: Any) -> None:
+def test_another_port_is_taken_where_the_default_one_is_in_use(project: Project, monkeypatch: Any) -> None:
     with StudioServer(project, 0) as busy:
         monkeypatch.setattr("getagrip.studio.server.DEFAULT_PORT", busy.server_port)
         with serve_on_free_port(project, "a-token") as other:

@@ -81,11 +81,8 @@ class Labelling:
         newest = self.store.keyframes.newest(grasp.mark.mark, grasp.mark.annotator)  # before the frames, as with marks
         own = self._own(grasp)
         job, basis = self.background.job(grasp.mark.mark), self._basis(grasp, own)
-        keyframes = [
-            {key: getattr(one, key) for key in ("frame", "joints", "outlines", "hidden")}
-            | {"number": grasp.footage.number(one.frame)}
-            for one in own
-        ]
+        keys, number = ("frame", "joints", "outlines", "hidden"), grasp.footage.number
+        keyframes = [{key: getattr(one, key) for key in keys} | {"number": number(one.frame)} for one in own]
         sure = self.store.drafts.confidence(grasp.mark.mark, {word for *_, word in basis["masks"]})
         drawn, (solved, iou) = self.labels(grasp).drawn, self._iou.get(grasp.mark.mark, (None, {}))
         met = discount_confidence(sure, iou, drawn) if solved == basis else sure

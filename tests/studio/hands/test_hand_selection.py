@@ -140,7 +140,7 @@ def test_a_hand_that_is_mostly_looked_for_again_is_said(count: int) -> None:
 
 
 @pytest.mark.parametrize("right", [0.01, 0.3])
-def test_what_a_second_look_sees_mirrored_is_left_out_where_the_side_is_sure(right: float) -> None:
+def test_frames_that_redetection_sees_mirrored_are_left_out_where_the_side_is_sure(right: float) -> None:
     seen = [[hand(300.0, right=right)] if n < 8 else [] for n in range(20)]
     beyond = {n: hand(300.0, right=0.99) for n in range(8, 20)}
     found = select_hand(seen, again=lambda hands, _: dict(hands) | beyond)
@@ -423,5 +423,5 @@ def test_what_hardly_agrees_is_an_assumption() -> None:
         assert source.text.endswith(f"in {how}; --side right overrules this")
 
 
-def test_hands_without_depths_are_judged_by_the_network_alone() -> None:
+def test_the_side_of_hands_without_depths_is_decided_by_the_network_alone() -> None:
     assert log_odds(Sighting(np.zeros((21, 2)), np.full((21, 3), np.nan), 0.9, 0.25)) == pytest.approx(np.log(1 / 3))

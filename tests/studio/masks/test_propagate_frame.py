@@ -30,8 +30,8 @@ from getagrip.studio.masks.graph_cut import (
     colour_log_ratio,
 )
 from getagrip.studio.masks.optical_flow import SmallFrames, hand_displacement
-from getagrip.studio.masks.propagate_frame import Images
 from getagrip.studio.masks.propagate_clip import refine_full_resolution
+from getagrip.studio.masks.propagate_frame import Images
 
 SIZE, STEP = (160, 120), (9.0, 4.0)
 BOX = (30.0, 25.0, 40.0, 30.0)
@@ -209,7 +209,7 @@ def test_a_new_colour_on_ground_that_is_else_unchanged_speaks_for_the_object() -
     assert abs(np.median(ground.unlike(255 - IMAGE, shares(0.0), LEFT)[there])) < 0.1
 
 
-def test_what_comes_into_view_is_not_seen_ground() -> None:
+def test_what_comes_into_view_is_no_known_background() -> None:
     """The ground moves 5 px to the right: on its left something appears, and where it was unknown it stays so."""
     ground = BackgroundModel.of_key(IMAGE, LEFT)
     after = np.roll(IMAGE, 5, axis=1)

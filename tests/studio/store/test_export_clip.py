@@ -312,13 +312,13 @@ def test_from_video_to_reconstruction(tmp_path: Path, run: Run) -> None:
     write_mesh(plate(), tmp_path / "plate.obj")
     words = made.command.split()[1:]
     words[words.index(given.video)] = str(VIDEO)
-    words[words.index("MESH")], words[words.index("CLIP")] = str(tmp_path / "plate.obj"), str(tmp_path / "carried")
+    words[words.index("MESH")], words[words.index("CLIP")] = str(tmp_path / "plate.obj"), str(tmp_path / "plate_clip")
     status, _, err = run(*words)
     assert status == 0
     assert err.count("a guess") == 2
-    assert run("reconstruct", tmp_path / "carried", "--out", tmp_path / "results", "--inits", 8)[0] == 0
-    result = json.loads((tmp_path / "results" / "carried" / "result.json").read_text())
-    with np.load(tmp_path / "results" / "carried" / "result.npz") as file:
+    assert run("reconstruct", tmp_path / "plate_clip", "--out", tmp_path / "results", "--inits", 8)[0] == 0
+    result = json.loads((tmp_path / "results" / "plate_clip" / "result.json").read_text())
+    with np.load(tmp_path / "results" / "plate_clip" / "result.npz") as file:
         assert file["iou"].mean() > 0.93
         assert file["iou"].min() > 0.85
         diameter = 2.0 * 0.11 * float(file["scale"])

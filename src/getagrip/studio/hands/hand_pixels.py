@@ -151,11 +151,8 @@ def _skin_pixels(
     Fingers without their tips replace a wrist that is not visible.
     """
     behind = points[0] + WRIST_LENGTH_RATIO * (points[0] - points[9])
-    lines = (
-        points[THUMB_LANDMARKS],
-        np.stack([points[0], behind]),
-        *(points[knuckle : knuckle + 3] for knuckle in KNUCKLE_LANDMARKS),
-    )
+    finger_lines = (points[knuckle : knuckle + 3] for knuckle in KNUCKLE_LANDMARKS)
+    lines = points[THUMB_LANDMARKS], np.stack([points[0], behind]), *finger_lines
     thumb, wrist, *fingers = (
         seen & (_draw_thick_lines(lab.shape[:2], line, CERTAIN_BONE_RADIUS * size) > 0) for line in lines
     )

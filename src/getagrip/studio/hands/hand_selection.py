@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, product
 from operator import attrgetter
 from typing import Literal, NamedTuple
 
@@ -252,8 +252,7 @@ def link_tracks(seen: Sequence[Sequence[Sighting]]) -> list[HandTracklet]:
         open_ones = [track for track in out if n - track.last <= MAX_LINK_GAP_FRAMES]
         pairs = sorted(
             (float(np.linalg.norm(hand.middle - track.seen[track.last].middle)) / hand.size / (n - track.last), k, i)
-            for k, track in enumerate(open_ones)
-            for i, hand in enumerate(hands)
+            for (k, track), (i, hand) in product(enumerate(open_ones), enumerate(hands))
         )
         used: set[int] = set()
         taken: set[int] = set()

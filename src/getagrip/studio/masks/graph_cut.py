@@ -194,11 +194,8 @@ def edge_cost(image: Image) -> Float32[ndarray, "h w"]:
     right, down = values[:, 1:] - values[:, :-1], values[1:] - values[:-1]
     change[:, :-1] += np.einsum("hwc,hwc->hw", right, right)
     change[:-1] += np.einsum("hwc,hwc->hw", down, down)
-    return np.asarray(
-        BORDER_COST
-        * (STRONG_EDGE_FACTOR + (1.0 - STRONG_EDGE_FACTOR) * np.exp(-change / (2.0 * change.mean() + 1e-6))),
-        np.float32,
-    )
+    smooth = np.exp(-change / (2.0 * change.mean() + 1e-6))
+    return np.asarray(BORDER_COST * (STRONG_EDGE_FACTOR + (1.0 - STRONG_EDGE_FACTOR) * smooth), np.float32)
 
 
 def minimal_cut(cost: Float32[ndarray, "h w"], edge: Float32[ndarray, "h w"], start: Float32[ndarray, "h w"]) -> Mask:

@@ -116,6 +116,16 @@ def optical_flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
     return np.asarray(search.calc(a, b, np.zeros((*a.shape, 2), np.float32)), np.float32)
 
 
+def squared_flow_error(
+    there: Float32[ndarray, "h w 2"], back: Float32[ndarray, "h w 2"], came: Origins
+) -> Float32[ndarray, "h w"]:
+    """Return the squared distance of pixels from their start after flow ``back`` to origins and ``there`` [px^2]."""
+    import cv2
+
+    error = back + cv2.remap(there, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+    return np.asarray(np.einsum("hwc,hwc->hw", error, error))
+
+
 Part = tuple[slice, slice]
 """Rows and columns."""
 Step = tuple[int, int]

@@ -42,11 +42,8 @@ def draft_fitted_hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -
     out: dict[int, dict[str, object]] = {}
     for n, (T, vertices, joints) in enumerate(zip(track.T_cam_hand, track.vertices, track.joints, strict=True)):
         mask = render_coverage(se3.transform(T, vertices), track.faces, np.diag([zoom, zoom, 1.0]) @ K, small)
-        out[labels.first + n] = {
-            "joints": _round_points(project(K, se3.transform(T, joints))),
-            "outlines": _mask_to_polygons(mask, 1.0 / zoom),
-            "uncertain": [],
-        }
+        points = _round_points(project(K, se3.transform(T, joints)))
+        out[labels.first + n] = {"joints": points, "outlines": _mask_to_polygons(mask, 1.0 / zoom), "uncertain": []}
     for frame, outliers in zip(found.keys, found.outliers, strict=True):
         out[frame]["uncertain"] = np.flatnonzero(outliers).tolist()
     return out
@@ -97,11 +94,8 @@ def trace_polygons(mask: Bool[ndarray, "H W"]) -> list[Polygon]:
         return []
     least = MIN_PART_AREA_FRACTION * max(float(cv2.contourArea(one)) for one in contours)
     coarse = POLYGON_TOLERANCE * max(mask.shape)
-    kept = {
-        n: np.asarray(cv2.approxPolyDP(one, coarse, True)[:, 0], np.int64)
-        for n, one in enumerate(contours)
-        if cv2.contourArea(one) >= max(least, 1.0)
-    }
+    large = [(n, one) for n, one in enumerate(contours) if cv2.contourArea(one) >= max(least, 1.0)]
+    kept = {n: np.asarray(cv2.approxPolyDP(one, coarse, True)[:, 0], np.int64) for n, one in large}
     shapes = {n: corners for n, corners in kept.items() if tree[0][n][3] < 0 and len(corners) >= 3}
     for n, hole in kept.items():
         if (outside := int(tree[0][n][3])) in shapes and len(hole) >= 3:

@@ -35,6 +35,7 @@ from getagrip.studio.masks.optical_flow import (
     hand_displacement,
     is_other_shot,
     motion_log_ratio,
+    squared_flow_error,
     warp_values,
 )
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
@@ -63,6 +64,8 @@ FLOW_CONSISTENCY_PX = 1.5
 SEEN_PIXEL_CONFIDENCE, UNCOVERED_PIXEL_CONFIDENCE = 0.2, 0.15
 """Confidence of a pixel that came into view after the key frame, classified by its colour; and of a pixel that an
 occluder hid until then: unless it is classified as object, its colour is not counted as the background's."""
+MIN_CLASSIFIED_CONFIDENCE = (SEEN_PIXEL_CONFIDENCE + UNCOVERED_PIXEL_CONFIDENCE) / 2.0
+"""Confidence above which a pixel's label is known, or was classified by its colour."""
 OCCLUDED_CONFIDENCE_DECAY = 0.95
 """Factor on the confidence of a hidden pixel from frame to frame."""
 OBJECT_INTERIOR_PX = 2.5
@@ -176,19 +179,16 @@ def _track_mask_step(
     step: Step = ZERO_STEP,
 ) -> TrackedMask:
     """Propagate a mask to the next frame; ``step`` is the object's approximate displacement [px]."""
-    import cv2
 
     if not now.inside.size:  # the object is not visible
         return now._replace(frame=frame)
-    width, height = frames.size
-    left, top = now.corner
+    (width, height), (left, top) = frames.size, now.corner
     part = rows, columns = _search_window(now, frames.size)
     b, at = frames[frame].image[part], frames[frame].bins[part]
     there, back = frames.flows(before, frame, part, step)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in b.shape[1::-1]))
     came = x + back[..., 0], y + back[..., 1]
-    round_trip = back + cv2.remap(there, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-    off = np.sqrt(np.einsum("hwc,hwc->hw", round_trip, round_trip))
+    off = np.sqrt(squared_flow_error(there, back, came))
 
     def old(u: Float32[ndarray, "h w"], v: Float32[ndarray, "h w"]) -> tuple[ndarray, ndarray]:
         return (np.clip(u + columns.start, 0, width - 1) - left, np.clip(v + rows.start, 0, height - 1) - top)
@@ -199,21 +199,14 @@ def _track_mask_step(
         inside[-1] = signed_distance(coloured | (hand[part] & (inside[0] < -HAND_KEEP_DISTANCE_PX)))
     hidden = is_occluded(inside)
     was_hidden = warp_values(is_occluded(now.inside).astype(np.float32), old(*came), 0.0) > 0.0
-    inner = (
-        (inside[0] > OBJECT_INTERIOR_PX)
-        & (off < FLOW_CONSISTENCY_PX)
-        & (inside[1:].max(axis=0) < -OBJECT_INTERIOR_PX)
-        & ~was_hidden
-    )
-    own = fit_object_motion(x, y, came, inner)
-    moves = np.zeros_like(off)
-    with_ground = fit_object_motion(
-        x, y, came, (inside.max(axis=0) < -OBJECT_INTERIOR_PX) & (off < FLOW_CONSISTENCY_PX) & ~was_hidden
-    )
+    usable = (off < FLOW_CONSISTENCY_PX) & ~was_hidden
+    inner = (inside[0] > OBJECT_INTERIOR_PX) & (inside[1:].max(axis=0) < -OBJECT_INTERIOR_PX)
+    own = fit_object_motion(x, y, came, inner & usable)
+    with_ground = fit_object_motion(x, y, came, (inside.max(axis=0) < -OBJECT_INTERIOR_PX) & usable)
     behind = ground.moved(part, came if with_ground is None else with_ground)
     unlike = behind.unlike(b, colours[0].counts[:, at], inside.max(axis=0) < -MIN_GROUND_DISTANCE_PX)
+    moves = np.zeros_like(off) if own is None else motion_log_ratio(came, own, with_ground, off)
     if own is not None:
-        moves = motion_log_ratio(came, own, with_ground, off)
         inside[0] = warp_values(now.inside[0], old(*own), -float(MAX_SIGNED_DISTANCE_PX))
         covered = hidden | was_hidden
         came = np.where(covered, own[0], came[0]), np.where(covered, own[1], came[1])
@@ -226,33 +219,31 @@ def _track_mask_step(
         trust = 0.0
     # Where the known background is no longer visible, a new side of the object may be.
     as_ground = np.where((inside[0] < 0.0) & (unlike > 0.0), 2.0 / (1.0 + np.exp(unlike)), 1.0)
-    certain = (known * as_ground * np.where(was_hidden, 0.1, np.where(off < FLOW_CONSISTENCY_PX, 1.0, 0.3))).astype(
-        np.float32
-    )
+    flow_certainty = np.where(was_hidden, 0.1, np.where(off < FLOW_CONSISTENCY_PX, 1.0, 0.3))
+    certain = (known * as_ground * flow_certainty).astype(np.float32)
     visible, known_before = place_in_window(now, (columns.start, rows.start), b.shape[1::-1])
-    top_most = ~is_occluded(visible) & (
-        (visible[0] > 0.0) | (known_before > (SEEN_PIXEL_CONFIDENCE + UNCOVERED_PIXEL_CONFIDENCE) / 2.0)
-    )
+    top_most = ~is_occluded(visible) & ((visible[0] > 0.0) | (known_before > MIN_CLASSIFIED_CONFIDENCE))
     for n, kind in enumerate(visible):
         if (n < 2 or hand is None) and (kind > 0).any():
             clear = (np.abs(kind) > 1.0) & (top_most if n == 0 else kind > -MAX_SIGNED_DISTANCE_PX)
-            likely = colour_log_ratio(
-                at, colours[n], LocalColourHistogram.of(frames[before].bins[part], kind > 0, clear), came
-            )
+            nearby = LocalColourHistogram.of(frames[before].bins[part], kind > 0, clear)
+            likely = colour_log_ratio(at, colours[n], nearby, came)
             if n == 0:
                 likely += moves + unlike
             inside[n] = refine_border(b, inside[n], certain, likely, hidden & (n == 0))
-    known = np.where(
-        hidden,
-        np.maximum(OCCLUDED_CONFIDENCE_DECAY * known, np.minimum(known, SEEN_PIXEL_CONFIDENCE)),
-        np.where(
-            in_view & ((off < FLOW_CONSISTENCY_PX) | (known < SEEN_PIXEL_CONFIDENCE)),
-            np.maximum(known, UNCOVERED_PIXEL_CONFIDENCE),
-            SEEN_PIXEL_CONFIDENCE,
-        ),
-    ).astype(np.float32)
+    followed = in_view & ((off < FLOW_CONSISTENCY_PX) | (known < SEEN_PIXEL_CONFIDENCE))
+    known = _next_confidence(known, hidden, followed)
     ground.renew(frames[frame].image, part, behind, inside.max(axis=0) < -MIN_GROUND_DISTANCE_PX)
     return _crop_to_mask(TrackedMask(frame, (columns.start, rows.start), inside, known, trust, unlike))
+
+
+def _next_confidence(
+    known: Float32[ndarray, "h w"], hidden: Bool[ndarray, "h w"], followed: Bool[ndarray, "h w"]
+) -> Float32[ndarray, "h w"]:
+    """Return ``TrackedMask.known`` after a step; ``followed`` pixels have an origin in view with consistent flow."""
+    remembered = np.maximum(OCCLUDED_CONFIDENCE_DECAY * known, np.minimum(known, SEEN_PIXEL_CONFIDENCE))
+    shown = np.where(followed, np.maximum(known, UNCOVERED_PIXEL_CONFIDENCE), SEEN_PIXEL_CONFIDENCE)
+    return np.where(hidden, remembered, shown).astype(np.float32)
 
 
 def _search_window(now: TrackedMask, size: tuple[int, int]) -> Part:

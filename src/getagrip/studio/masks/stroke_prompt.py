@@ -23,7 +23,7 @@ from getagrip.studio.masks.graph_cut import (
     minimal_cut,
     overlapping_components,
 )
-from getagrip.studio.masks.optical_flow import FLOW_SIGMA_PX, fit_object_motion, optical_flow
+from getagrip.studio.masks.optical_flow import FLOW_SIGMA_PX, fit_object_motion, optical_flow, squared_flow_error
 from getagrip.studio.masks.propagate_frame import FLOW_CONSISTENCY_PX, Hands, Image, Images
 from getagrip.studio.store.labels import OBJECT_LABEL, FrameLabels, Labels
 
@@ -101,14 +101,12 @@ def apply_strokes(
     no_object = off | ((drawn != 0) & (drawn != OBJECT_LABEL)) | (seen & (drawn != OBJECT_LABEL))
     start = None
     if (drawn == OBJECT_LABEL).any():
-        near = cv2.distanceTransform((~(on | off)).astype(np.uint8), cv2.DIST_L2, 3) < CORRECTION_RADIUS_FRACTION * min(
-            shape
-        )
+        distance = cv2.distanceTransform((~(on | off)).astype(np.uint8), cv2.DIST_L2, 3)
+        near = distance < CORRECTION_RADIUS_FRACTION * min(shape)
         start = np.where(drawn == OBJECT_LABEL, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
         start[~near & (drawn == OBJECT_LABEL)], start[~near & (drawn != OBJECT_LABEL)] = cv2.GC_FGD, cv2.GC_BGD
-    found = segment_region(
-        image, on, no_object & ~on, start, bounding_slices(on | (drawn == OBJECT_LABEL), shape), motion
-    )
+    part = bounding_slices(on | (drawn == OBJECT_LABEL), shape)
+    found = segment_region(image, on, no_object & ~on, start, part, motion)
     out = np.where(drawn == OBJECT_LABEL, 0, drawn).astype(np.uint8)
     out[found] = OBJECT_LABEL
     out[off & (out == OBJECT_LABEL)], out[on] = 0, OBJECT_LABEL
@@ -142,12 +140,9 @@ def bounding_slices(
         return slice(0, shape[0]), slice(0, shape[1])
     short, marked = min(shape[:2]), np.nonzero(mask)
     if margin is None:
-        extent = max(float(np.ptp(i)) for i in marked)
-        margin = (
-            MAX_OBJECT_REACH * short
-            if extent < MAX_CLICK_EXTENT * short
-            else min(max(extent, MIN_OBJECT_REACH * short), MAX_OBJECT_REACH * short)
-        )
+        extent, margin = max(float(np.ptp(i)) for i in marked), MAX_OBJECT_REACH * short
+        if extent >= MAX_CLICK_EXTENT * short:
+            margin = min(max(extent, MIN_OBJECT_REACH * short), margin)
     rows, columns = (
         slice(max(0, int(i.min() - margin)), min(length, int(i.max() + margin) + 1))
         for i, length in zip(marked, shape, strict=False)
@@ -186,9 +181,8 @@ def segment_region(
         labels = None if start is None else cv2.resize(start[part], size, interpolation=cv2.INTER_NEAREST)
         found = _grabcut(small, labels, sure, never)
     else:
-        found = segment_by_click_motion(
-            small, cv2.resize(motion[part], size, interpolation=cv2.INTER_AREA), sure, never
-        )
+        reduced = cv2.resize(motion[part], size, interpolation=cv2.INTER_AREA)
+        found = segment_by_click_motion(small, reduced, sure, never)
     across = np.zeros(found.shape, np.uint8) if hand is None else cv2.resize(hand[part].astype(np.uint8), size)
     touched = hand is None and (found & sure).any()
     found = overlapping_components(found, sure) if touched else _largest_component(found, across)
@@ -252,26 +246,23 @@ def click_motion_log_ratio(
     size = tuple(max(16, round(length * min(1.0, CLICK_MOTION_IMAGE_PX / max(shape)))) for length in shape[::-1])
     away = cv2.distanceTransform((small(click.astype(np.float32)) == 0).astype(np.uint8), cv2.DIST_L2, 3) / min(size)
     held = small(hand.astype(np.float32)) > 0.5
-    here, around = (
-        away < CLICK_RADIUS_FRACTION,
-        cv2.dilate(held.astype(np.uint8), np.ones((CLICK_HAND_DILATION_PX, CLICK_HAND_DILATION_PX), np.uint8)) > 0,
-    )
+    square = np.ones((CLICK_HAND_DILATION_PX, CLICK_HAND_DILATION_PX), np.uint8)
+    here = away < CLICK_RADIUS_FRACTION
+    surroundings = (away > MIN_SURROUNDINGS_DISTANCE) & (cv2.dilate(held.astype(np.uint8), square) == 0)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in size))
     now, total = small(images(frame)), np.zeros(size[::-1], np.float32)
     for other in (frame + step for step in COMPARED_FRAME_OFFSETS if interval[0] <= frame + step <= interval[1]):
         then = small(images(other))
         back = optical_flow(now, then)
         came = x + back[..., 0], y + back[..., 1]
-        off = back + cv2.remap(optical_flow(then, now), *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-        off = np.einsum("hwc,hwc->hw", off, off)
+        off = squared_flow_error(optical_flow(then, now), back, came)
         own, ground = (
-            fit_object_motion(x, y, came, each & (off < FLOW_CONSISTENCY_PX**2))
-            for each in (here | held, (away > MIN_SURROUNDINGS_DISTANCE) & ~around)
+            fit_object_motion(x, y, came, each & (off < FLOW_CONSISTENCY_PX**2)) for each in (here | held, surroundings)
         )
         if own is None or ground is None:
             continue
         apart, still = (np.square(came[0] - each[0]) + np.square(came[1] - each[1]) for each in (own, ground))
-        noise = 1.0 + float(np.median(still[(away > MIN_SURROUNDINGS_DISTANCE) & ~around]))
+        noise = 1.0 + float(np.median(still[surroundings]))
         ratio = np.log1p(still / noise) - np.minimum(np.log1p(apart / FLOW_SIGMA_PX**2), INDEPENDENT_MOTION_LOG_RATIO)
         ratio = cv2.GaussianBlur((ratio / (1.0 + off / FLOW_SIGMA_PX**2)).astype(np.float32), (0, 0), 2.0)
         if np.median(ratio[here]) > 0.0:
@@ -299,14 +290,11 @@ def segment_by_click_motion(
     known[[0, -1]] = known[:, [0, -1]] = True
     known |= found | never | (motion < STATIC_LOG_RATIO_THRESHOLD)
     for _ in range(N_CLICK_ITERATIONS):
-        colours = np.clip(
-            CLICK_COLOUR_WEIGHT * colour_log_ratio(at, ColourHistogram.of(image, found, known)),
-            -MAX_CLICK_LOG_RATIO,
-            MAX_CLICK_LOG_RATIO,
-        )
-        object_ = np.where(sure, MAX_CLICK_LOG_RATIO, np.where(never, -MAX_CLICK_LOG_RATIO, colours + moved)).astype(
-            np.float32
-        )
+        colours = CLICK_COLOUR_WEIGHT * colour_log_ratio(at, ColourHistogram.of(image, found, known))
+        evidence = np.clip(colours, -MAX_CLICK_LOG_RATIO, MAX_CLICK_LOG_RATIO) + moved
+        evidence[never] = -MAX_CLICK_LOG_RATIO
+        evidence[sure] = MAX_CLICK_LOG_RATIO
+        object_ = evidence.astype(np.float32)
         found = minimal_cut(-object_, edge, (object_ > 0.0).astype(np.float32))
         known = np.ones_like(sure)
     return found

@@ -320,13 +320,11 @@ class Interaction:
         order = sorted((mark for _, mark in self.finished), key=lambda mark: mark.start or 0)
         if self.side is None and any(mark.state in CONTACT_STATES for mark in order):
             raise RefusedError("say first which hand touches the object: left or right")
+        sides = [cast(Side, mark.side or self.side) if mark.state in CONTACT_STATES else None for mark in order]
         segments = [
-            Segment(
-                cast(State, mark.state), mark.start or 0, mark.end or 0,
-                cast(Side, mark.side or self.side) if mark.state in CONTACT_STATES else None,
-            )
-            for mark in order
-        ]  # fmt: skip
+            Segment(cast(State, mark.state), mark.start or 0, mark.end or 0, side)
+            for mark, side in zip(order, sides, strict=True)
+        ]
         names = FrameNames(self.footage)
         who = next(mark.annotator for _, mark in self.numbered)
         still = f"as {who} states" if self.still else None

@@ -121,18 +121,9 @@ def _parse_task(source: Path, videos: Path, where: str, named: Sequence[str], ro
     if name is not None and not (isinstance(name, str) and is_portable_name(name)):
         raise InputError(source, f"{where}mp4_name", shorten_value(name), "the name of a file")
     own = f"{video}_{start}_{end}_{side}_{category}" + (f"_{entity}" if entity else "")
-    return Task(
-        key=name.removesuffix(".mp4") if name else own,
-        video=video,
-        path=_find_footage(videos, video),
-        start=start,
-        end=end,
-        side=side,
-        category=category,
-        entity=entity,
-        contact=None if contact < 0 else contact,
-        mp4_name=name and f"{name.removesuffix('.mp4')}.mp4",
-    )
+    key, mp4_name = (name.removesuffix(".mp4"), f"{name.removesuffix('.mp4')}.mp4") if name else (own, None)
+    touched = None if contact < 0 else contact
+    return Task(key, video, _find_footage(videos, video), start, end, side, category, entity, touched, mp4_name)
 
 
 def _find_footage(root: Path, video: str) -> Path | None:
