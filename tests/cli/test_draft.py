@@ -94,8 +94,8 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
         0.6 + 0.001 * np.arange(1, 8)
     )
     commands: list[list[str]] = []
-    replaced = "getagrip.studio.jobs.run_command"  # it has run above
-    monkeypatch.setattr(replaced, lambda words, _: commands.append([*words]) or "")
+    replaced = "getagrip.cli.calls.run_call"  # it has run above
+    monkeypatch.setattr(replaced, lambda call: commands.append(call.words) or "")
     wide = ("--object-box", f"{x},{y},{3 * RADIUS},{2 * RADIUS + 6}", *box[2:])
     again, out, err = run(*DRAFT, *wide)  # over it
     assert again == 0, err

@@ -12,12 +12,13 @@ import cv2
 import numpy as np
 import pytest
 
-import getagrip.studio.detect_grasps  # noqa: F401  (before its command is replaced)
+from getagrip.cli import calls
 from getagrip.cli.annotate import MARKS_DATABASE
 from getagrip.cli.import_hands import HandFile
 from getagrip.clip import Clip
 from getagrip.clip.read_arrays import read_hand
 from getagrip.io.images import read_png, write_mask
+from getagrip.studio.jobs import CommandCall, NewClipCall
 from getagrip.studio.store.mark_store import MarkStore
 from helpers.environment import Run
 from helpers.hand_files import Known
@@ -33,7 +34,12 @@ SIDE = ("--side", "left")
 def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("getagrip.studio.hands.load_models", lambda _: SceneNets())
-    monkeypatch.setattr("getagrip.studio.jobs.run_command", lambda words, _: " ".join(words))
+    run_call = calls.run_call
+
+    def only_clips(call: CommandCall) -> str:
+        return run_call(call) if isinstance(call, NewClipCall) else " ".join(call.words)
+
+    monkeypatch.setattr(calls, "run_call", only_clips)
     write_scene(tmp_path / "scene.mp4", FRAMES)
     return tmp_path
 

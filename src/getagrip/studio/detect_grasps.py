@@ -25,11 +25,11 @@ from getagrip.readers.masks.mask_request import MaskRequest
 from getagrip.readers.masks.mask_sources import open_masks
 from getagrip.studio.hands.detect_hands import DETECTED_HANDS_FOLDER, HandDetectionFiles
 from getagrip.studio.hands.hand_tracking import PALM_LANDMARKS
-from getagrip.studio.jobs import CLIPS_FOLDER, BackgroundJob, RequestedMesh, run_command
+from getagrip.studio.jobs import CLIPS_FOLDER, RequestedMesh, RunCall
 from getagrip.studio.masks.box_prompt import MIN_BOX_CORRELATION, Box, downscale_image, track_box
 from getagrip.studio.masks.propagate_clip import propagate_labels
 from getagrip.studio.masks.propagate_frame import Hands, Images
-from getagrip.studio.store.export_clip import clip_arguments, write_labelled_clip_files
+from getagrip.studio.store.export_clip import new_clip_call, write_labelled_clip_files
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL, FrameLabels, Labels, Polygons
 from getagrip.timelines.detect.detect_segments import find_segments
 
@@ -198,8 +198,9 @@ def find_grasps(
     out: Path,
     shape: RequestedMesh,
     joints: Mapping[int, Float[ndarray, "21 2"]],
+    run: RunCall,
 ) -> DraftedGrasps:
-    """Find the stable grasps in the frames of labels, by a clip of all frames (``out/clips/whole``).
+    """Find the stable grasps in the frames of labels, by a clip of all frames (``out/clips/whole``) made by ``run``.
 
     Without a stable grasp, the frames in which hand and object move together are returned. Raises ``GetagripError`` if
     no clip can be made.
@@ -208,8 +209,8 @@ def find_grasps(
     made, clip = out / WHOLE_CLIP_NAME, files.folder_inside(out, CLIPS_FOLDER) / WHOLE_CLIP_NAME
     lens = Lens(guess_focal=True)
     write_labelled_clip_files(labels, footage.image, lens, made, overwrite=True, found=hands, name=footage.name)
-    words = clip_arguments(labels, made, str(video))
-    run_command([*words, *shape.options, "--out", str(clip), "--overwrite"], BackgroundJob("files"))
+    new_clip = new_clip_call(labels, made, str(video))
+    run(replace(new_clip, mesh=shape.mesh, size_mm=shape.size_mm, out=clip, overwrite=True))
     read = read_clip(clip)
     found = find_segments(read)
     names = [footage.name(n) for n in range(labels.first, labels.last + 1)]

@@ -166,14 +166,14 @@ class Labelling:
 
         Raises ``GetagripError``, ``CancelledError``.
         """
-        from getagrip.studio.store.export_clip import clip_arguments
+        from getagrip.studio.store.export_clip import new_clip_call
 
         value, basis = self.labels(grasp), self._basis(grasp, self._own(grasp))
         self._check_enough(grasp, value)
         job.message = "writing the files"
         confidence = self._make(grasp, value, job).confidence
-        words = clip_arguments(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
-        said = jobs.reconstruct_grasp_files(words, shape, self.out, grasp.name, job, self.depth)
+        new_clip = new_clip_call(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
+        said = jobs.reconstruct_grasp_files(new_clip, shape, self.out, grasp.name, job, self.depth)
         result, number = jobs.result_folder(self.out, grasp.name), grasp.footage.number
         self._reports |= {*map(_report_checksum, jobs.report_files(result).values())}
         names = {grasp.footage.name(n): n for n in range(value.first, value.last + 1)}

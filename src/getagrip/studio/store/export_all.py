@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from getagrip.errors import GetagripError
 from getagrip.io import files
 from getagrip.io.terminal import format_count, print_note, progress_bar
-from getagrip.studio.jobs import CLIPS_FOLDER, BackgroundJob, RequestedMesh, result_folder
+from getagrip.studio.jobs import CLIPS_FOLDER, BackgroundJob, CommandCall, RequestedMesh, RunCall, result_folder
 from getagrip.studio.project import Project
 from getagrip.studio.store import marks
 from getagrip.studio.store.history import RefusedError
@@ -43,13 +43,13 @@ def write_labelled_grasps(project: Project) -> int:
     return status
 
 
-def reconstruct_labelled_grasps(project: Project, grasps: Sequence[Grasp], shape: RequestedMesh) -> int:
-    """Write the files of labelled grasps, and reconstruct each; return 1 if any failed or there are none, else 0."""
+def reconstruct_labelled_grasps(project: Project, grasps: Sequence[Grasp], shape: RequestedMesh, run: RunCall) -> int:
+    """Write the files of labelled grasps, and reconstruct each by ``run``; return 1 if any failed or none, else 0."""
     if not grasps:
         print_note("no mask is in the frames with a hand: nothing is reconstructed")
     status, out = int(not grasps), project.labelling.out
     for grasp in grasps:
-        said = _run_with_progress_bar(grasp.name, partial(project.labelling.solve, grasp, shape))
+        said = _run_with_progress_bar(grasp.name, partial(project.labelling.solve, grasp, shape), run=run)
         if said is None:
             status = 1
             continue
@@ -58,22 +58,27 @@ def reconstruct_labelled_grasps(project: Project, grasps: Sequence[Grasp], shape
     return status
 
 
-def _run_with_progress_bar(name: str, work: Callable[[BackgroundJob], str], prefix: str = "") -> str | None:
+def _run_with_progress_bar(
+    name: str, work: Callable[[BackgroundJob], str], prefix: str = "", run: RunCall | None = None
+) -> str | None:
     """Run a job of a grasp with a progress bar. Returns its outcome as text, None after an error, which is printed."""
     try:
         with progress_bar(counted=True) as bar:
-            return work(JobOnBar(bar, name))
+            return work(JobOnBar(bar, name, run))
     except GetagripError as error:
         print_note(f"{name}: {prefix}{error}")
         return None
 
 
 class JobOnBar(BackgroundJob):
-    """A job with a progress bar."""
+    """A job with a progress bar; ``run`` runs its commands, if given."""
 
-    def __init__(self, bar: Progress, name: str) -> None:
+    def __init__(self, bar: Progress, name: str, run: RunCall | None = None) -> None:
         super().__init__("files")
-        self._bar, self._name, self._task = bar, name, bar.add_task(name, total=None)
+        self._bar, self._name, self._task, self._run = bar, name, bar.add_task(name, total=None), run
+
+    def run(self, call: CommandCall) -> str:
+        return super().run(call) if self._run is None else self._run(call)
 
     def report(self, done: int, total: int) -> None:
         description = ": ".join(filter(None, (self._name, self.message)))

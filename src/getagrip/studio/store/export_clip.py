@@ -24,16 +24,18 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import Lens
 from getagrip.geometry.rasterize import render_coverage
 from getagrip.hands.from_2d.clicks import ASSUMED_SCALE_NOTE, ClickedHands, hands_from_clicks
+from getagrip.hands.model import Side
 from getagrip.io import arrays, files
 from getagrip.io.images import write_image
 from getagrip.provenance import Source, assumed, estimated, provenance_to_arrays
 from getagrip.studio.hands.detect_hands import HandDetectionFiles
 from getagrip.studio.hands.relift_hands import LabelMaps, write_relifted_hands
 from getagrip.studio.hands.stabilize_hands import stabilize_hands
+from getagrip.studio.jobs import NewClipCall
 from getagrip.studio.masks.propagate_clip import no_hand_mask, propagate_labels
 from getagrip.studio.masks.stroke_prompt import keyframe_label_maps
 from getagrip.studio.store.history import RefusedError
-from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL, Labels
+from getagrip.studio.store.labels import HAND_LABEL, OCCLUDER_LABEL, Labels
 from getagrip.studio.store.tasks import Task
 
 
@@ -180,23 +182,18 @@ def _occlude_around(drawn: UInt8[ndarray, "H W"], hand: Bool[ndarray, "H W"], ma
 
 def clip_command(labels: Labels, out: Path, segments: Path | None = None) -> str:
     """Return the command that makes a clip of the files in ``out``; with a file of segments, a timeline."""
-    words = ["getagrip", *clip_arguments(labels, out, labels.video, segments)]
-    return " ".join(map(shlex.quote, words)) + " --mesh MESH --out CLIP"
+    return shlex.join(["getagrip", *new_clip_call(labels, out, labels.video, segments).words])
 
 
-def clip_arguments(labels: Labels, out: Path, video: str, segments: Path | None = None) -> list[str]:
-    """Return the arguments of ``getagrip`` that make a clip, without mesh and output folder.
+def new_clip_call(labels: Labels, out: Path, video: str, segments: Path | None = None) -> NewClipCall:
+    """Return the call that makes a clip, without mesh and output folder.
 
     The side is that of the hand in ``out``, which may differ from the labels' side (``relift_hands``).
     """
-    hand = out / "hand.npz"
-    side = str(arrays.read(hand, {"side"}.__contains__).get("side", labels.side)) if hand.is_file() else labels.side
-    return [
-        *("clip", "new", video, "--interval", str(labels.first + 1), str(labels.last + 1), "--side", side),
-        *("--hands", str(hand), "--masks", str(out / "masks")),
-        *("--object", str(OBJECT_LABEL), "--ignore", str(OCCLUDER_LABEL), "--hand", str(HAND_LABEL)),
-        *(() if segments is None else ("--segments", str(segments))),
-    ]
+    hand, masks, interval = out / "hand.npz", out / "masks", (labels.first + 1, labels.last + 1)
+    stored = arrays.read(hand, {"side"}.__contains__).get("side", labels.side) if hand.is_file() else labels.side
+    side: Side = "left" if str(stored) == "left" else "right"
+    return NewClipCall(video=video, interval=interval, side=side, hands=hand, masks=masks, segments=segments)
 
 
 def _hand_file_fields(
