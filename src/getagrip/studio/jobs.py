@@ -40,7 +40,7 @@ THREADS_PER_CLIP = 2
 
 @dataclass(frozen=True, kw_only=True)
 class NewClipCall:
-    """Call of ``clip new`` on the files of a labelled grasp; ``MESH`` and ``CLIP`` are for the user to replace."""
+    """Options of ``clip new`` for the files of a labelled grasp; ``MESH`` and ``CLIP`` are placeholders."""
 
     video: str
     interval: tuple[int, int]
@@ -76,7 +76,7 @@ class NewClipCall:
 
 @dataclass(frozen=True)
 class ReconstructCall:
-    """Call of ``reconstruct`` on a clip, into ``out/<clip's name>``, over an existing result."""
+    """Options of ``reconstruct`` for one clip; the result ``out/<clip's name>`` is overwritten."""
 
     clip: Path
     out: Path
@@ -92,7 +92,7 @@ class ReconstructCall:
 
 @dataclass(frozen=True)
 class ReportCall:
-    """Call of ``report`` on a result."""
+    """Options of ``report`` for one result."""
 
     result: Path
 
@@ -137,7 +137,7 @@ class BackgroundJob:
             raise CancelledError
 
     def run(self, call: CommandCall) -> str:
-        """Run a command in a process of its own, which ends when the job is cancelled; see ``run_command``."""
+        """Run a command as ``RunCall``: here in a process of its own, which cancelling the job ends."""
         return run_command(call.words, self)
 
     def status(self) -> dict[str, object]:
@@ -408,7 +408,10 @@ def iou_by_frame(result: Path) -> dict[str, float]:
 
 
 def run_command(words: Sequence[str], job: BackgroundJob) -> str:
-    """Run a command in a process, which ends when the job is cancelled; see ``command_output``."""
+    """Run a command in a process, and return its output as ``command_output`` does.
+
+    Raises ``GetagripError`` for a command that failed, ``CancelledError`` once the job was cancelled.
+    """
     process = subprocess.Popen(
         processes.python_command("-m", "getagrip", *words),
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace",
@@ -428,10 +431,7 @@ def run_command(words: Sequence[str], job: BackgroundJob) -> str:
 
 
 def command_output(status: int, out: str, err: str) -> str:
-    """Return the printed lines of a command. Raises ``GetagripError`` with them unless the status is a success.
-
-    Of ``SUCCESS_STATUSES``, 3 is of an output that lacks something, which the lines name.
-    """
+    """Return the printed text of a command, warnings last. Raises ``GetagripError`` with it if the command failed."""
     if status not in SUCCESS_STATUSES:
         said = (err.strip() or out.strip() or "it ended early").splitlines()
         raise GetagripError("; ".join(line.removeprefix("getagrip: ") for line in said))
