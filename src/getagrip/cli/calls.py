@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 def run_call(call: CommandCall) -> str:
     """Run a command in this process; return its output, or raise ``GetagripError`` with it if the command failed.
 
-    An interrupt is raised as such. Nothing else may print meanwhile: standard output and errors are the command's.
+    An interrupt is raised as such. Standard output and standard error are the command's meanwhile, of all threads: a
+    server must not call this.
     """
     from getagrip.batch.job import failed_outcome
     from getagrip.studio.jobs import command_output
