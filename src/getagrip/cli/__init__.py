@@ -8,9 +8,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-import traceback
 from collections.abc import Collection, Iterable, Sequence
-from contextlib import nullcontext, redirect_stdout
 from difflib import get_close_matches
 from functools import reduce
 from inspect import cleandoc
@@ -26,7 +24,7 @@ from tyro.conf import OmitArgPrefixes, subcommand
 from getagrip import __version__
 from getagrip.cli.annotate import Annotate
 from getagrip.cli.bench import Benches, move_source_first
-from getagrip.cli.command import Command
+from getagrip.cli.command import Command, print_error
 from getagrip.cli.demo import Demo
 from getagrip.cli.doctor import Doctor
 from getagrip.cli.draft import Draft
@@ -43,10 +41,9 @@ from getagrip.cli.reproduce.arctic_grasps import ReproduceArctic
 from getagrip.cli.reproduce.epic_grasps import ReproduceEpic
 from getagrip.cli.segment import Segment
 from getagrip.cli.study import Stats, Study
-from getagrip.errors import GetagripError, UsageError, escape_unprintable, unknown_choice_error
+from getagrip.errors import GetagripError, escape_unprintable, unknown_choice_error
 from getagrip.io import processes
 from getagrip.io.options import PATH_REGISTRY, explain_all
-from getagrip.io.terminal import NullOutput
 
 # Commands share their work between processes, one for each core. Said before numpy is loaded, which reads it once.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -149,19 +146,14 @@ def _run_command(args: Sequence[str]) -> int:
     try:
         command = _parse_command(args)
         processes.raise_on_interrupt()
-        command.check()
-        with redirect_stdout(NullOutput()) if command.quiet else nullcontext():
-            return command.run()
+        return command.run_checked()
     except BrokenPipeError:
         raise
     except KeyboardInterrupt:
         print("interrupted; what was finished is kept", file=sys.stderr)
         return processes.INTERRUPT_EXIT_STATUS
     except (GetagripError, OSError) as error:
-        if "--debug" in args:
-            print(escape_unprintable(traceback.format_exc(), "\n"), file=sys.stderr)
-        print(f"getagrip: {escape_unprintable(str(error))}", file=sys.stderr)
-        return 2 if isinstance(error, UsageError) else 1
+        return print_error(error, "--debug" in args)
 
 
 def _parse_command(args: Sequence[str]) -> Command:

@@ -6,18 +6,21 @@ A command is a frozen dataclass of options and the body that runs them, in one f
 
 from __future__ import annotations
 
+import sys
+import traceback
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext, redirect_stdout
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, Protocol, TypeVar, final
 
 from tyro.conf import Positional, arg
 
-from getagrip.errors import UsageError
+from getagrip.errors import UsageError, escape_unprintable
 from getagrip.io.options import Flag, one_of, place_argument
 from getagrip.io.storage import Place, RemotePath
-from getagrip.io.terminal import progress_bar, show_stage
+from getagrip.io.terminal import NullOutput, progress_bar, show_stage
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
@@ -59,6 +62,21 @@ class Command:
             files.check_folder("--out", out)
         if (json := getattr(self, "json", None)) is not None:
             files.check_file("--json", json)
+
+    @final
+    def run_checked(self) -> int:
+        """Check the options, then run, without output if ``quiet``. Returns the exit status."""
+        self.check()
+        with redirect_stdout(NullOutput()) if self.quiet else nullcontext():
+            return self.run()
+
+
+def print_error(error: Exception, debug: bool) -> int:
+    """Print an error that ends a command, after its traceback with ``debug``. Returns the exit status."""
+    if debug:
+        print(escape_unprintable(traceback.format_exc(), "\n"), file=sys.stderr)
+    print(f"getagrip: {escape_unprintable(str(error))}", file=sys.stderr)
+    return 2 if isinstance(error, UsageError) else 1
 
 
 class ClipJob(Protocol):

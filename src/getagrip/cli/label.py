@@ -171,12 +171,13 @@ class Label(Command):
 
 def _reconstruct_grasp(project: Project, grasp: Grasp, shape: RequestedMesh) -> None:
     """Reconstruct a grasp, unless there is a result of its labels."""
+    from getagrip.cli import calls
     from getagrip.io.terminal import progress_bar
     from getagrip.studio.store.export_all import JobOnBar
 
     if not project.labelling.is_solved(grasp):
         with progress_bar() as bar:
-            print_result(project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name)))
+            print_result(project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name, calls.run_call)))
 
 
 def _measure_effort(project: Project, grasp: Grasp) -> Effort:

@@ -182,7 +182,7 @@ def progress_bar(counted: bool = False) -> Iterator[Progress]:
     columns: list[ProgressColumn] = [TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn()]
     if counted:
         columns += [MofNCompleteColumn(), TextColumn("left"), TimeRemainingColumn()]
-    stderr = Console(stderr=True)
+    stderr = Console(file=sys.stderr, stderr=True)  # this stream, even if sys.stderr is replaced later
     in_notebook = _in_notebook() and find_spec("ipywidgets") is not None  # rich draws by it there
     with Progress(
         *columns,

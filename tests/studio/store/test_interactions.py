@@ -79,7 +79,7 @@ def test_what_is_amiss_is_said_in_words(project: Project, tmp_path: Path) -> Non
     gap, camera, hand = said["hints"]
     assert gap.startswith("Frames 26 to 30 are in no segment, between 2 and 3")
     assert "camera" in camera
-    assert "The right hand is the clip's. In segment 2 the other one" in hand
+    assert "The right hand is the clip's. In segment 2 the other hand" in hand
     with pytest.raises(RefusedError, match="two segments"):
         project.exported("segments", "ann")
     assert write_mark_files(project, tmp_path) == 1

@@ -71,14 +71,14 @@ def square(shot: Shot, n: int) -> FrameLabels:
     return FrameLabels(object=(np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]]),))
 
 
-def test_reach_and_release_are_left_out_by_masks_and_a_key_is_carried() -> None:
+def test_reach_and_release_are_left_out_by_masks_and_a_key_is_propagated() -> None:
     shot = Shot()
     known = {n: shot.joints(n) for n in range(FRAMES)}
     there = Labels("it", (320, 240), "left", 30.0, 0, FRAMES - 1, {n: square(shot, n) for n in range(FRAMES)})
     grasp = trim_reach(there, shot.image, known, lambda _: None)
     assert grasp.extents[0][1] == FRAMES - 1
     assert abs(grasp.extents[0][0] - ARRIVES) <= 3
-    assert "reaches for it before; --all-frames takes all" in grasp.said
+    assert "reaches for it before; --all-frames uses all" in grasp.said
     back = Labels("it", (320, 240), "left", 30.0, 0, FRAMES - 1, {n: square(shot, FRAMES - 1 - n) for n in known})
     turned = {FRAMES - 1 - n: each for n, each in known.items()}
     grasp = trim_reach(back, lambda n: shot.image(FRAMES - 1 - n), turned, lambda _: None)
@@ -88,7 +88,7 @@ def test_reach_and_release_are_left_out_by_masks_and_a_key_is_carried() -> None:
 
 
 @pytest.mark.slow
-def test_the_first_mask_is_carried_to_the_grasp() -> None:
+def test_the_first_mask_is_propagated_to_the_grasp() -> None:
     shot = Shot(arrives=8, lifts=12)
     known = {n: shot.joints(n) for n in range(20)}
     one = Labels("it", (320, 240), "left", 30.0, 0, 19, {0: square(shot, 0)})

@@ -1,7 +1,10 @@
-"""From labels to files: hands that follow a shaking image, masks, and the clip that is made of both."""
+"""Files made of labels: hands that follow a shaking image, masks, the clip made of both; the footage found again."""
 
 from __future__ import annotations
 
+import hashlib
+import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +15,7 @@ import pytest
 from numpy import ndarray
 
 from getagrip.clip import read_clip, read_masks
+from getagrip.clip.intrinsics import compute_intrinsics
 from getagrip.errors import UsageError
 from getagrip.fitting.hand.refine_hand import refine_hand
 from getagrip.geometry import se3
@@ -21,13 +25,17 @@ from getagrip.geometry.rasterize import render_coverage
 from getagrip.hands import generic
 from getagrip.hands.from_2d.clicks import hands_from_clicks
 from getagrip.io.files import is_portable_name
+from getagrip.readers.footage import VideoFootage
 from getagrip.studio.hands.stabilize_hands import stabilize_hands
-from getagrip.studio.store.export_clip import write_labelled_clip_files
+from getagrip.studio.store import labels
+from getagrip.studio.store.export_clip import footage_checksum, tasks_of_labels, write_labelled_clip_files
+from getagrip.studio.store.history import RefusedError
 from getagrip.studio.store.labels import OBJECT_LABEL, OCCLUDER_LABEL, FrameLabels, Labels
 from getagrip.studio.store.marks import Grasp, Mark
 from getagrip.studio.store.tasks import Task
+from getagrip.synthetic.objects import plate
 from helpers.clips import box
-from helpers.environment import Run
+from helpers.environment import DATA, ROOT, Run, needs
 from helpers.folders import contents
 
 SIZE = (320, 240)
@@ -201,12 +209,118 @@ def test_grasps_of_long_names_that_are_alike_have_files_of_their_own() -> None:
 
 
 @pytest.mark.parametrize("names", [("cover", "picture-01"), ("a-01", "b-01")])
-def test_images_without_a_number_of_their_own_are_refused(tmp_path: Path, names: tuple[str, str]) -> None:
+def test_images_without_a_unique_number_are_refused(tmp_path: Path, names: tuple[str, str]) -> None:
     """A clip would not find their hands, or take those of others."""
 
     def name(n: int) -> str:
         return names[n] if n < len(names) else f"picture-{n:02d}"
 
-    with pytest.raises(UsageError, match=r"needs a number of its own .* \(got (cover|a-01)\)"):
+    with pytest.raises(UsageError, match=r"needs a unique number .* \(got (cover|a-01)\)"):
         write_labelled_clip_files(labels_of(0, LAST), image, Lens(focal=FOCAL), tmp_path / "made", name=name)
     assert not (tmp_path / "made").exists()
+
+
+GIVEN = Labels("cup.mp4", (64, 48), "left", 30.0, 0, 2, {1: FrameLabels(object=())})
+
+
+def task(path: Path, content: bytes | None = None) -> Task:
+    if content is not None:
+        path.write_bytes(content)
+    return Task(path.stem, path.stem, path)
+
+
+def test_a_checksum_finds_footage_under_another_name(tmp_path: Path) -> None:
+    other, renamed = task(tmp_path / "other.mp4", b"another"), task(tmp_path / "take-3.mp4", b"the footage")
+    given = replace(GIVEN, sha256=hashlib.sha256(b"the footage").hexdigest())
+    assert tasks_of_labels(given, [other, renamed]) == [renamed]
+    named = task(tmp_path / "cup.mp4", b"of the same name")
+    assert tasks_of_labels(given, [named, other, renamed]) == [renamed]
+    with pytest.raises(RefusedError, match="another file than the labelled one"):
+        tasks_of_labels(given, [named, other])
+    with pytest.raises(RefusedError, match="none has this name or checksum"):
+        tasks_of_labels(given, [other])
+    assert tasks_of_labels(GIVEN, [other, named]) == [named]
+    with pytest.raises(RefusedError, match="no checksum"):
+        tasks_of_labels(GIVEN, [other])
+
+
+def test_the_checksum_of_a_folder_is_of_its_names_and_contents(tmp_path: Path) -> None:
+    sums = []
+    for name, content in (("a", b"1"), ("a", b"2"), ("b", b"2")):
+        folder = tmp_path / str(len(sums))
+        folder.mkdir()
+        (folder / name).write_bytes(content)
+        sums.append(footage_checksum(folder))
+    assert len({*sums}) == 3
+    assert footage_checksum((tmp_path / "0").rename(tmp_path / "moved")) == sums[0]
+
+
+def test_labels_of_other_footage_leave_no_database_behind(tmp_path: Path, run: Run) -> None:
+    footage = tmp_path / "take-3"
+    footage.mkdir()
+    for n in range(3):
+        cv2.imwrite(str(footage / f"{n:04d}.png"), np.zeros((48, 64, 3), np.uint8))
+    file, out = tmp_path / "labels.json", tmp_path / "out"
+    labels.write_label_file(GIVEN, file)
+    status, _, err = run("annotate", footage, "--out", out, "--import-labels", file)
+    assert status == 1
+    assert err.startswith(f"getagrip: {file} must be labels of the footage given (got labels of other footage")
+    assert not out.exists()
+    labels.write_label_file(replace(GIVEN, sha256=footage_checksum(footage)), file)
+    assert run("annotate", footage, "--out", out, "--import-labels", file)[0] == 0
+    assert run("annotate", footage, "--out", out, "--export")[0] == 1  # labels only: too few for a clip
+    (again,) = out.glob("labels-*.json")
+    assert labels.read_label_file(again).sha256 == footage_checksum(footage)
+
+
+LABELS = ROOT / "tests" / "helpers" / "kitchen_plate_labels.json"
+VIDEO = DATA / "egocentric" / "kitchen_plate.mp4"
+
+
+@pytest.mark.slow
+def test_the_labels_are_of_one_hand_and_one_plate() -> None:
+    given = labels.read_label_file(LABELS)
+    K, _ = compute_intrinsics(Lens(guess_focal=True), given.size)
+    found = hands_from_clicks(given.clicks, K, given.side, given.first, given.last)
+    assert np.sqrt(np.nanmean(found.residuals**2)) < 4.0
+    assert not found.outliers.any()
+    assert np.abs(found.shape).max() < 0.25
+    assert found.hand.joints is not None
+    tips = project(K, se3.transform(found.hand.T_cam_hand, found.hand.joints))[:, 4]
+    outlines = given.label_maps()
+    assert sorted(outlines) == sorted(given.frames)
+    for n, drawn in outlines.items():  # the thumb lies on the rim
+        v, u = np.nonzero(drawn == OBJECT_LABEL)
+        to_plate = np.hypot(u + 0.5 - tips[n - given.first, 0], v + 0.5 - tips[n - given.first, 1]).min()
+        assert to_plate < 0.1 * np.ptp(u)
+
+
+@needs(VIDEO)
+@pytest.mark.slow
+@pytest.mark.long
+def test_from_video_to_reconstruction(tmp_path: Path, run: Run) -> None:
+    whole = labels.read_label_file(LABELS)
+    first, last = 51, 57  # a part of it, for the sake of time
+    frames = {n: frame for n, frame in whole.frames.items() if first <= n <= last}
+    given = replace(whole, first=first, last=last, frames=frames)
+    video = VideoFootage(VIDEO)
+    try:
+        made = write_labelled_clip_files(given, video.image, Lens(), tmp_path / "made")
+    finally:
+        video.close()
+    assert min(made.confidence.values()) > 0.85
+    write_mesh(plate(), tmp_path / "plate.obj")
+    words = made.command.split()[1:]
+    words[words.index(given.video)] = str(VIDEO)
+    words[words.index("MESH")], words[words.index("CLIP")] = str(tmp_path / "plate.obj"), str(tmp_path / "plate_clip")
+    status, _, err = run(*words)
+    assert status == 0
+    assert err.count("a guess") == 2
+    assert run("reconstruct", tmp_path / "plate_clip", "--out", tmp_path / "results", "--inits", 8)[0] == 0
+    result = json.loads((tmp_path / "results" / "plate_clip" / "result.json").read_text())
+    with np.load(tmp_path / "results" / "plate_clip" / "result.npz") as file:
+        assert file["iou"].mean() > 0.93
+        assert file["iou"].min() > 0.85
+        diameter = 2.0 * 0.11 * float(file["scale"])
+    assert 0.17 < diameter < 0.32  # plates are; the hand's size and the camera are guesses
+    assert len(result["assumptions"]) >= 3  # camera, hands, size

@@ -20,7 +20,7 @@ from getagrip.hands.fit_joints import PosePrior
 from getagrip.hands.from_2d.clicks import model_pose
 from getagrip.hands.model import hand_track
 from getagrip.provenance import Provenance, Source, assumed, estimated, measured, provenance_to_arrays
-from getagrip.studio.hands import relift_hands as lifting
+from getagrip.studio.hands import relift_hands
 from getagrip.studio.hands.relift_hands import JOINTS_DEPTH_KEY, LabelMaps, relift_hand, write_relifted_hands
 from getagrip.studio.store.export_clip import clip_arguments
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, Labels
@@ -79,8 +79,8 @@ def test_depths_of_hands_that_are_largely_guessed_are_not_believed(monkeypatch: 
     points[:, 12:] = [-400.0, 200.0]  # three fingers beside the image
     wrong = replace(true, T_cam_hand=true.T_cam_hand @ turned, joints_2d=points)
     off = []
-    for guessed in (lifting.MAX_GUESSED_FRACTION, 1.0):
-        monkeypatch.setattr(lifting, "MAX_GUESSED_FRACTION", guessed)
+    for guessed in (relift_hands.MAX_GUESSED_FRACTION, 1.0):
+        monkeypatch.setattr(relift_hands, "MAX_GUESSED_FRACTION", guessed)
         found, _ = relift_hand(wrong, FRAMES, K, "left", maps_of(HAND_LABEL))
         off.append(np.degrees(se3.angle_between(found.T_cam_hand[:, :3, :3], true.T_cam_hand[:, :3, :3])).max())
     assert off[0] < 15.0
@@ -148,7 +148,7 @@ def test_the_object_decides_on_the_side_where_that_is_a_guess(
     (tmp_path / "out.npz").rename(tmp_path / "hand.npz")
     words = clip_arguments(labels, tmp_path, "a.mp4")
     assert words[words.index("--side") + 1] == str(written["side"])
-    order, frames = lifting.joint_depth_order(read_hand(tmp_path / "hand.npz", 5), FRAMES, K, maps)
+    order, frames = relift_hands.joint_depth_order(read_hand(tmp_path / "hand.npz", 5), FRAMES, K, maps)
     assert frames == len(FRAMES)
     assert (order > 0.0) == (side.basis == "assumed")
 

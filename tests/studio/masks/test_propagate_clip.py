@@ -1,4 +1,4 @@
-"""Masks propagated from key frames: a textured thing that moves over a textured ground, its true mask known."""
+"""Masks propagated over a clip from key frames, and merged in between."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from numpy import ndarray
 
 from getagrip.errors import UsageError
 from getagrip.studio.masks import propagate_clip
-from getagrip.studio.masks.graph_cut import ColourHistogram, remove_object_colours
-from getagrip.studio.masks.optical_flow import SmallFrames
-from getagrip.studio.masks.propagate_clip import _mark_lost, keyframe_spans, propagate_labels
-from getagrip.studio.masks.propagate_frame import TrackedMask
+from getagrip.studio.masks.graph_cut import ColourHistogram, colour_bins, remove_object_colours
+from getagrip.studio.masks.optical_flow import SmallFrame, SmallFrames
+from getagrip.studio.masks.propagate_clip import _mark_lost, keyframe_spans, merge_masks, propagate_labels
+from getagrip.studio.masks.propagate_frame import TrackedMask, place_in_window, signed_distance
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
 
 SIZE = (240, 180)
@@ -27,7 +27,7 @@ LAST = 8
 
 @pytest.fixture(scope="module", autouse=True)
 def _smaller() -> Iterator[None]:
-    """Masks are carried at half the size, four times as quick; one test takes the usual one."""
+    """Masks are propagated at half the size, four times as fast; one test uses the full size."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(propagate_clip, "OBJECT_WORKING_SIZE_PX", 90.0)
         yield
@@ -86,7 +86,7 @@ class Scored(NamedTuple):
     confidence: float
 
 
-def carried(keys: tuple[int, ...], draw: Draw = drawn, last: int = LAST) -> dict[int, Scored]:
+def propagated(keys: tuple[int, ...], draw: Draw = drawn, last: int = LAST) -> dict[int, Scored]:
     """What becomes of the true masks of some frames."""
     found = propagate_labels(lambda n: draw(n)[0], {n: draw(n)[1] for n in keys}, 0, last)
     return {
@@ -157,13 +157,13 @@ def test_a_side_that_comes_into_view_before_known_ground_is_the_objects() -> Non
         noise = np.random.default_rng(n).normal(0.0, 3.0, image.shape)
         return np.clip(image + noise, 0, 255).astype(np.uint8), labels
 
-    assert worst(carried((0,), turned))[0] > 0.9
+    assert worst(propagated((0,), turned))[0] > 0.9
 
 
 @pytest.mark.slow
 def test_a_moving_thing_is_kept_between_two_keys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(propagate_clip, "OBJECT_WORKING_SIZE_PX", 200.0)
-    found = carried((0, LAST))
+    found = propagated((0, LAST))
     assert list(found) == list(range(LAST + 1))
     score, confidence = worst(found)
     assert score > 0.9
@@ -175,7 +175,7 @@ def test_a_moving_thing_is_kept_between_two_keys(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.slow
 def test_before_the_first_and_after_the_last_key_it_is_followed_and_trusted_less_and_less() -> None:
-    found = carried((5,))
+    found = propagated((5,))
     assert worst(found)[0] > 0.93
     sure = [found[n].confidence for n in range(LAST + 1)]
     assert sure[:6] == sorted(sure[:6])
@@ -184,14 +184,14 @@ def test_before_the_first_and_after_the_last_key_it_is_followed_and_trusted_less
 
 @pytest.mark.slow
 def test_backwards_is_the_same_as_forwards() -> None:
-    there, back = carried((0, 4), last=4), carried((0, 4), lambda n: drawn(4 - n), last=4)
+    there, back = propagated((0, 4), last=4), propagated((0, 4), lambda n: drawn(4 - n), last=4)
     for n, each in there.items():
         assert iou(each.labels == OBJECT_LABEL, back[4 - n].labels == OBJECT_LABEL) > 0.98
 
 
 @pytest.mark.slow
 def test_what_is_in_front_stays_in_front() -> None:
-    for each in (found := carried((0, 5), lambda n: drawn(n, bar=True), last=5)).values():
+    for each in (found := propagated((0, 5), lambda n: drawn(n, bar=True), last=5)).values():
         assert (each.labels[105:120, 40:200] == OCCLUDER_LABEL).mean() > 0.95
     assert worst(found)[0] > 0.9
 
@@ -283,7 +283,7 @@ def test_blurred_and_empty_images_are_trusted_less() -> None:
         image, labels = drawn(n)
         return (np.full_like(image, 127) if 3 <= n <= 5 else image), labels
 
-    assert worst(carried((0, LAST), lost))[1] < worst(carried((0, LAST)))[1]
+    assert worst(propagated((0, LAST), lost))[1] < worst(propagated((0, LAST)))[1]
 
 
 @pytest.mark.slow
@@ -293,7 +293,7 @@ def test_what_enters_the_image_comes_from_the_key_that_shows_it() -> None:
 
     assert (entering(0)[1][:, 0] == OBJECT_LABEL).any()
     assert not (entering(10)[1][:, 0] == OBJECT_LABEL).any()
-    assert worst(carried((0, 10), entering, last=10))[0] > 0.85
+    assert worst(propagated((0, 10), entering, last=10))[0] > 0.85
 
 
 @pytest.mark.slow
@@ -302,7 +302,7 @@ def test_a_cut_lowers_the_confidence() -> None:
         image, labels = drawn(n)
         return (image, labels) if n < 5 else (image[:, ::-1].copy(), labels[:, ::-1].copy())
 
-    assert worst(carried((0, LAST), cut))[1] < 0.5
+    assert worst(propagated((0, LAST), cut))[1] < 0.5
 
 
 @pytest.mark.slow
@@ -320,7 +320,7 @@ def test_images_may_be_smaller_than_masks() -> None:
         image, labels = drawn(n)
         return image, np.kron(labels, np.ones((3, 3), np.uint8))
 
-    assert worst(carried((0, 5), large, last=5))[0] > 0.95
+    assert worst(propagated((0, 5), large, last=5))[0] > 0.95
 
 
 @given(keys=st.sets(st.integers(3, 12), min_size=1), ends=st.tuples(st.integers(0, 3), st.integers(12, 15)))
@@ -374,7 +374,7 @@ def test_a_small_part_that_comes_off_is_something_else_unless_a_key_shows_it_apa
         return cv2.circle(np.zeros(SIZE[::-1], np.uint8), np.round(at).astype(int).tolist(), 9, 1, -1) > 0
 
     for gap, away, least, most in ((0.0, 3.0, 0.0, 0.0), (24.0, 0.0, 0.5, 1.0)):
-        shown = carried((0,), partial(beside, gap, away))[LAST].labels == OBJECT_LABEL
+        shown = propagated((0,), partial(beside, gap, away))[LAST].labels == OBJECT_LABEL
         there = disc(gap + away * LAST, LAST) & (drawn(LAST)[1] == 0)
         assert least <= shown[there].mean() <= most
 
@@ -388,5 +388,64 @@ def test_a_handle_that_is_joined_beyond_the_image_is_kept() -> None:
         )
         return image[top : top + SIZE[1]], labels[top : top + SIZE[1]]
 
-    found = carried((0,), leaving)[LAST]
+    found = propagated((0,), leaving)[LAST]
     assert (found.labels == OBJECT_LABEL)[:70, 152:158].mean() > 0.9
+
+
+WINDOW_SIZE = (120, 100)
+
+
+def box(left: int, top: int, right: int, bottom: int) -> ndarray:
+    out = np.zeros(WINDOW_SIZE[::-1], bool)
+    out[top:bottom, left:right] = True
+    return out
+
+
+OUTSIDE, INSIDE, BESIDE = box(40, 40, 80, 80), box(40, 25, 80, 40), box(80, 40, 95, 80)
+IMAGE = np.full((*WINDOW_SIZE[::-1], 3), (150, 110, 70), np.uint8)
+IMAGE[OUTSIDE], IMAGE[INSIDE] = (30, 90, 50), (160, 160, 165)
+FRAME = SmallFrame(IMAGE, colour_bins(IMAGE), IMAGE)
+COLOURS = [ColourHistogram.of(IMAGE, OUTSIDE | INSIDE, np.ones(WINDOW_SIZE[::-1], bool))]
+
+
+def tracked(mask: ndarray, trust: float = 1.0) -> TrackedMask:
+    nothing = np.full((2, *mask.shape), -24.0, np.float32)
+    inside = np.concatenate([signed_distance(mask)[None], nothing])
+    return TrackedMask(5, (0, 0), inside, np.ones(mask.shape, np.float32), trust, np.zeros(mask.shape, np.float32))
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
+def test_where_two_masks_differ_the_keys_colours_decide(share: float) -> None:
+    """What one of them has lost is the object's; what the other has of the ground is not, however near its key is."""
+    true = OUTSIDE | INSIDE
+    for one, other in ((true, OUTSIDE), (OUTSIDE, true), (true, true | BESIDE), (OUTSIDE | BESIDE, true)):
+        both, confidence = merge_masks(tracked(one), tracked(other), share, FRAME, COLOURS)
+        found = place_in_window(both, (0, 0), WINDOW_SIZE)[0][OBJECT_LABEL - 1] > 0
+        assert (found & true).sum() / (found | true).sum() > 0.95
+        apart = 1.0 - (one & other).sum() / (one | other).sum()
+        assert confidence == pytest.approx(1.0 - 4.0 * share * (1.0 - share) * apart**2)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.9])
+def test_what_is_in_front_comes_from_the_side_that_has_not_lost_its_way(share: float) -> None:
+    hand = box(70, 40, 95, 80)
+    sees, lost = tracked(OUTSIDE | INSIDE), tracked(OUTSIDE | BESIDE, trust=0.01)
+    sees.inside[OCCLUDER_LABEL - 1], sees.known[hand] = signed_distance(hand), 0.0
+    both, _ = merge_masks(sees, lost, share, FRAME, COLOURS)
+    found = place_in_window(both, (0, 0), WINDOW_SIZE)[0][OCCLUDER_LABEL - 1] > 0
+    assert (found == hand).mean() > 0.99
+
+
+def test_what_lies_beyond_a_cut_does_not_count() -> None:
+    """There is one side only, then; its trust is all that is known."""
+    for trusts in ((0.0, 0.7), (0.7, 0.0), (0.0, 0.0)):
+        one, other = (tracked(OUTSIDE, trust) for trust in trusts)
+        assert merge_masks(one, other, 0.5, FRAME, COLOURS)[1] == max(trusts)
+
+
+def test_two_empty_masks_are_an_empty_one() -> None:
+    empty = np.zeros((0, 0), np.float32)
+    nothing = TrackedMask(5, (3, 4), np.zeros((3, 0, 0), np.float32), empty, 1.0, empty)
+    both, confidence = merge_masks(nothing, nothing, 0.5, FRAME, COLOURS)
+    assert not both.inside.size
+    assert confidence == 1.0

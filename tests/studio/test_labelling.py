@@ -1,4 +1,4 @@
-"""What follows from labels: drafts between key frames, and files."""
+"""Drafts between key frames, as polygons, and files made of labels."""
 
 from __future__ import annotations
 
@@ -10,18 +10,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from getagrip.clip import read_clip, read_masks
 from getagrip.io.images import write_image
 from getagrip.readers.footage import VideoFootage
 from getagrip.studio import jobs
 from getagrip.studio.masks import propagate_clip
+from getagrip.studio.masks.polygon_drafts import trace_polygons
 from getagrip.studio.store.export_all import write_labelled_grasps
 from getagrip.studio.store.history import RefusedError
 from helpers.annotation import FIRST, LAST, Clicking, disc, filled, iou
 from helpers.clips import box
 from helpers.environment import Run
-from helpers.labelled_scene import circle, joints
+from helpers.labelled_scene import HEIGHT, WIDTH, circle, joints
 
 
 def word(basis: dict[str, Any], draft: dict[str, Any]) -> str:
@@ -188,3 +191,31 @@ def test_labels_that_do_not_suffice_are_exported_alone(clicking: Clicking, capsy
     assert write_labelled_grasps(clicking.project) == 1
     assert "labels only" in capsys.readouterr().err
     assert len(list(tmp_path.glob("labels-*.json"))) == 1
+
+
+shapes = st.lists(
+    st.tuples(st.integers(40, 280), st.integers(40, 200), st.integers(8, 60), st.integers(8, 60), st.booleans()),
+    min_size=1,
+    max_size=4,
+)
+
+
+@given(shapes)
+def test_traced_polygons_give_the_mask_again(shapes: list[tuple[int, int, int, int, bool]]) -> None:
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    mask = np.zeros((HEIGHT, WIDTH), bool)
+    for x, y, a, b, adds in shapes:
+        inside = ((u - x) / a) ** 2 + ((v - y) / b) ** 2 < 1
+        mask = mask | inside if adds else mask & ~inside
+    found = trace_polygons(mask)
+    if mask.sum() > 400:
+        assert iou(filled(found), mask) > 0.93
+    assert all(len(one) >= 3 for one in found)
+
+
+def test_a_ring_has_one_polygon_with_its_hole() -> None:
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    distance = np.hypot(u - 150, v - 120)
+    ring = (distance < 80) & (distance > 40)
+    (outline,) = trace_polygons(ring)
+    assert iou(filled([outline]), ring) > 0.97
