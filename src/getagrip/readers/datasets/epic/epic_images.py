@@ -30,6 +30,7 @@ from getagrip.io.images import decode_image
 from getagrip.readers import streams
 from getagrip.readers.datasets.epic.epic_tables import numbering_rate, subject_of
 from getagrip.readers.datasets.epic.visor import DENSE_IMAGE_SIZE_PX
+from getagrip.readers.video import decode_at_times
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -157,40 +158,11 @@ class Video:
             raise InputError(self.root, "", f"no {self.video}.MP4 in it", "the video")
         rate = Fraction(numbering_rate(self.video))
         times = {n: (n - 1) / rate for n in sorted(set(numbers))}
-        found = dict(_decode_at_times(paths[0], times))
+        found = dict(zip(times, decode_at_times(paths[0], list(times.values()), _resize_video_frame), strict=False))
         missing = [n for n in times if n not in found]
         if missing:
             raise InputError(paths[0], "", f"no frame {missing[0]} (at {float(times[missing[0]]):.2f} s)", "the frame")
         return [found[n] for n in numbers]
-
-
-def _decode_at_times(path: Path, times: dict[int, Fraction]) -> Iterator[tuple[int, UInt8[ndarray, "H W 3"]]]:
-    """Decode the images at some rising times [s]: one seek to the first, then decoded onwards."""
-    from av.error import FFmpegError
-
-    from getagrip.readers.video import open_video
-
-    waiting = list(times.items())
-    try:
-        with open_video(path) as container:
-            stream = container.streams.video[0]
-            base = stream.time_base or Fraction(1, 90_000)
-            begin = Fraction(stream.start_time or 0) * base
-            half = 1 / (2 * Fraction(stream.average_rate or 60))
-            container.seek(int((begin + waiting[0][1]) / base), stream=stream)  # to the key frame before
-            for frame in container.decode(stream):
-                if frame.pts is None:
-                    continue
-                shown_at = frame.pts * base - begin
-                image = None
-                while waiting and shown_at + half >= waiting[0][1]:
-                    if image is None:
-                        image = _resize_video_frame(frame)
-                    yield waiting.pop(0)[0], image
-                if not waiting:
-                    return
-    except (FFmpegError, IndexError, OSError, ValueError) as error:
-        raise InputError(path, "", f"a video that does not decode ({error})", "a video") from error
 
 
 def _resize_video_frame(frame: VideoFrame) -> UInt8[ndarray, "H W 3"]:
