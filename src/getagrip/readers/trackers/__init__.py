@@ -32,11 +32,7 @@ from getagrip.readers.trackers.joints import Joints, Soma
 from getagrip.readers.trackers.landmarks_2d import Landmarks
 from getagrip.readers.trackers.lerobot_hands import LeRobot
 from getagrip.readers.trackers.mano_parameters import ManoParameters
-from getagrip.readers.trackers.read_hands import (
-    CHOSEN_HANDS_KEY,
-    TrackedHands,
-    read_tracked_hands,
-)
+from getagrip.readers.trackers.read_hands import CHOSEN_HANDS_KEY, TrackedHands, read_tracked_hands
 from getagrip.readers.trackers.records import recognise
 from getagrip.readers.trackers.tracker import Tracker
 from getagrip.readers.trackers.v2d import V2D

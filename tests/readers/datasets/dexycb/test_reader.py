@@ -15,12 +15,7 @@ from getagrip.hands import generic
 from getagrip.hands.model import mirrored
 from getagrip.readers.datasets.cutting import clip_of_piece as clip_of
 from getagrip.readers.datasets.dexycb.dexycb_clips import DexYcb, fit_recording_hand
-from getagrip.readers.datasets.dexycb.dexycb_files import (
-    PACKED_K,
-    DexYcbRecording,
-    ObjectPoses,
-    find_dexycb_sequences,
-)
+from getagrip.readers.datasets.dexycb.dexycb_files import PACKED_K, DexYcbRecording, ObjectPoses, find_dexycb_sequences
 from getagrip.readers.datasets.tracks import subject_from_clip_name
 from helpers.dexycb_files import (
     FRAMES,

@@ -184,8 +184,7 @@ class Hot3d(TrackedDataset):
         if listed is not None and (missing := max(0, len(lengths) - len(found))):
             note(f"{missing} of {len(lengths)} recordings of {listed.file} are not there: skipped")
         how: Pieces = partial(
-            hot3d_timeline_pieces if self.timelines else cut_into_holds if self.whole else cut_into_grasps,
-            cut=cut,
+            hot3d_timeline_pieces if self.timelines else cut_into_holds if self.whole else cut_into_grasps, cut=cut
         )
         return [CutSource(source, how, cut.shortest) for source in found]
 
