@@ -35,19 +35,18 @@ if TYPE_CHECKING:
     from av import VideoFrame
 
 MAX_DISPLAY_WIDTH_PX = 1280
-"""Images are sent at most so wide [px]."""
+"""Maximum width of images for display [px]."""
 MAX_FOOTAGE_SIDE_PX = 8192
-"""Limit of the sides of what is read [px]."""
+"""Maximum side of an image file [px]."""
 MAX_FOOTAGE_FRAMES = 2_000_000
-"""No footage is longer: eleven hours at 50 frames per second."""
+"""Maximum number of frames: eleven hours at 50 frames per second."""
 FOOTAGE_JPEG_QUALITY = 88
-"""Quality of the JPEG images."""
 JPEG_CACHE_BYTES, IMAGE_CACHE_BYTES = 64 * 2**20, 256 * 2**20
 """Cache sizes of one video, for JPEG images and for whole images."""
 
 
 class Footage(Protocol):
-    """Frames 0 .. N-1 in the order they are shown in."""
+    """Frames 0 to N-1 in the order of presentation."""
 
     @property
     def frames(self) -> int:
@@ -62,34 +61,34 @@ class Footage(Protocol):
         """Width and height of the frames [px]."""
 
     def time(self, index: int) -> float:
-        """Return the time at which a frame is shown, from the start [s]."""
+        """Return the presentation time of a frame, from the start [s]."""
 
     def number(self, index: int) -> int:
-        """Return the number that the footage's own naming gives a frame."""
+        """Return a frame's number in the footage's own naming."""
 
     def index(self, number: int) -> int:
-        """Return the frame of a number, the nearest where it has none."""
+        """Return the frame of a number, or the nearest frame."""
 
     def name(self, index: int) -> str:
         """Return a frame's name in a clip of the footage."""
 
     def jpeg(self, index: int, whole: bool = False) -> bytes:
-        """Return a frame for display, ``whole`` or made smaller where it is wide. Raises ``InputError``."""
+        """Return a frame for display, ``whole`` or of a limited width. Raises ``InputError``."""
 
     def image(self, index: int) -> UInt8[ndarray, "H W 3"]:
-        """Return a frame, all of its pixels: red, green, blue. Raises ``InputError`` where it does not decode."""
+        """Return the RGB image of a frame in full resolution. Raises ``InputError``."""
 
     def close(self) -> None:
-        """Close the files, until a frame is asked for again."""
+        """Close the files until the next request."""
 
 
 def duration_seconds(footage: Footage, start: int, end: int) -> float:
-    """Return the duration of frames ``start`` to ``end``, the last one included [s]."""
+    """Return the duration of frames ``start`` to ``end``, both included [s]."""
     return footage.time(end) - footage.time(start) + 1.0 / footage.fps
 
 
 class FrameNames(Sequence[str]):
-    """The names of footage's frames in clips; made when they are asked for, since footage may be hours long."""
+    """The clip names of footage's frames, made on request, since footage may be hours long."""
 
     def __init__(self, footage: Footage) -> None:
         self.footage = footage
@@ -109,7 +108,7 @@ class FrameNames(Sequence[str]):
 
 @dataclass(frozen=True)
 class ImageFolder:
-    """Images of a folder, in the order of the numbers that their names end in; by name where not all have one."""
+    """Images of a folder, by the numbers at the end of their names; by name if an image has no number."""
 
     paths: tuple[Path, ...]
     numbers: tuple[int, ...]
@@ -117,7 +116,7 @@ class ImageFolder:
 
     @staticmethod
     def open(folder: Path) -> ImageFolder:
-        """Open the images of a folder. Raises ``InputError`` where there is none."""
+        """Open the images of a folder. Raises ``InputError`` without images."""
         paths = single_image_set(folder, list_files(folder, IMAGE_SUFFIXES))
         if not 0 < len(paths) <= MAX_FOOTAGE_FRAMES:
             raise InputError(folder, "", f"{len(paths)} images in it", f"images ({', '.join(IMAGE_SUFFIXES)})")
@@ -134,37 +133,37 @@ class ImageFolder:
         return len(self.paths)
 
     def time(self, index: int) -> float:
-        """Return the time at which an image is shown [s]: by its number, so that gaps count."""
+        """Return the time of an image by its number [s], so that gaps count."""
         return (self.numbers[index] - self.numbers[0]) / self.fps
 
     def number(self, index: int) -> int:
-        """Return the number in the image's name, or its place from 1."""
+        """Return the number in the image's name, or the image's position from 1."""
         return self.numbers[index]
 
     def index(self, number: int) -> int:
-        """Return the image of a number, or the nearest to it."""
+        """Return the image of a number, or the nearest image."""
         return int(np.argmin(np.abs(np.array(self.numbers) - number)))
 
     def name(self, index: int) -> str:
-        """Return the image's name, as of the images of a clip."""
+        """Return the image's name without suffix."""
         return self.paths[index].stem
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the first image [px]. Raises ``InputError`` where it does not decode."""
+        """Width and height of the first image [px]. Raises ``InputError``."""
         height, width = self._bgr(0).shape[:2]
         return width, height
 
     def jpeg(self, index: int, whole: bool = False) -> bytes:
-        """Return an image, as JPEG whatever its file is. Raises ``InputError``."""
+        """Return an image as JPEG. Raises ``InputError``."""
         return encode_footage_jpeg(self._bgr(index), MAX_FOOTAGE_SIDE_PX if whole else MAX_DISPLAY_WIDTH_PX)
 
     def image(self, index: int) -> UInt8[ndarray, "H W 3"]:
-        """Return an image, all of its pixels. Raises ``InputError``."""
+        """Return the RGB image of a file. Raises ``InputError``."""
         return np.ascontiguousarray(self._bgr(index)[..., ::-1])
 
     def close(self) -> None:
-        """Do nothing: no file is kept open."""
+        """Do nothing: no file stays open."""
 
     def _bgr(self, index: int) -> UInt8[ndarray, "H W 3"]:
         path = self.paths[index]
@@ -173,7 +172,7 @@ class ImageFolder:
 
 
 def encode_footage_jpeg(bgr: UInt8[ndarray, "H W 3"], widest: int = MAX_DISPLAY_WIDTH_PX) -> bytes:
-    """Encode an image as JPEG, made narrower where it is too wide."""
+    """Encode an image as JPEG of at most a width [px]."""
     import cv2
 
     height, width = bgr.shape[:2]
@@ -185,7 +184,7 @@ def encode_footage_jpeg(bgr: UInt8[ndarray, "H W 3"], widest: int = MAX_DISPLAY_
 
 
 class VideoFootage:
-    """A video file. Frames are numbered as EPIC-KITCHENS does where its name is one of theirs, else from 1."""
+    """A video file. Frames have EPIC-KITCHENS' numbers in videos with EPIC's names, else numbers from 1."""
 
     def __init__(self, path: Path) -> None:
         """Read the times of all frames. Raises ``InputError`` for a file that is not a video."""
@@ -219,23 +218,23 @@ class VideoFootage:
 
     @cached_property
     def size(self) -> tuple[int, int]:
-        """Width and height, upright [px]. Raises ``InputError`` where the first frame does not decode."""
+        """Width and height as shown [px]. Raises ``InputError``."""
         height, width = self.image(0).shape[:2]
         return width, height
 
     def time(self, index: int) -> float:
-        """Return the time at which a frame is shown, from the start of the stream [s]."""
+        """Return the presentation time of a frame, from the start of the stream [s]."""
         return float(self._time(index))
 
     def _time(self, index: int) -> Fraction:
         return (self._times[index] - self._begin) * self._base
 
     def number(self, index: int) -> int:
-        """Return EPIC's number of a frame in one of its videos, else its place from 1."""
+        """Return EPIC's number of a frame in one of EPIC's videos, else its position from 1."""
         return index + 1 if self._rate is None else round(self._time(index) * Fraction(self._rate)) + 1
 
     def index(self, number: int) -> int:
-        """Return the frame of a number, as the reader of EPIC-Grasps finds it; the nearest where there is none."""
+        """Return the frame of a number, as the reader of EPIC-Grasps finds it, or the nearest frame."""
         if self._rate is None:
             found = number - 1
         else:
@@ -245,20 +244,20 @@ class VideoFootage:
         return min(max(found, 0), self.frames - 1)
 
     def name(self, index: int) -> str:
-        """Return a frame's place from 1, as ``clip new`` has it."""
+        """Return a frame's position from 1, as ``clip new`` names it."""
         return f"{index + 1:06d}"
 
     def jpeg(self, index: int, whole: bool = False) -> bytes:
-        """Return a frame for display, ``whole`` or made smaller where it is wide. Raises ``InputError``."""
-        return (
-            encode_footage_jpeg(self.image(index)[..., ::-1], MAX_FOOTAGE_SIDE_PX) if whole else self.shown.get(index)
-        )
+        """Return a frame for display, ``whole`` or of a limited width. Raises ``InputError``."""
+        if not whole:
+            return self.shown.get(index)
+        return encode_footage_jpeg(self.image(index)[..., ::-1], MAX_FOOTAGE_SIDE_PX)
 
     def image(self, index: int) -> UInt8[ndarray, "H W 3"]:
-        """Return a frame, all of its pixels: red, green, blue. Raises ``InputError`` where it does not decode."""
+        """Return the RGB image of a frame in full resolution. Raises ``InputError``."""
         return self.whole.get(index)
 
     def close(self) -> None:
-        """Close the file, until a frame is asked for again."""
+        """Close the file until the next request."""
         self.shown.close()
         self.whole.close()

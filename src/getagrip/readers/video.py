@@ -27,6 +27,7 @@ from getagrip.clip.match_frames import single_image_set
 from getagrip.clip.read import MAX_CLIP_IMAGE_PIXELS, MAX_CLIP_SIDE_PX
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
+from getagrip.io.files import printable
 from getagrip.io.images import decode_image
 from getagrip.io.terminal import format_count
 from getagrip.provenance import Source, assumed
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 VIDEO_FORMATS = "mov,mp4,matroska,webm,avi,mpegts,gif"
-"""Containers that are read. Not playlists, which can name other files."""
+"""Containers to read; playlists are left out, since they can name other files."""
 VIDEO_SUFFIXES = (".mp4", ".MP4", ".mov", ".MOV", ".m4v", ".mkv", ".webm", ".avi")
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 MAX_FRAME_FILE_BYTES = 64 * 2**20
@@ -128,7 +129,7 @@ def read_timing(path: Path, limit: int | None = None) -> VideoTiming:
 
 
 def frame_times(path: Path) -> Float[ndarray, "N"] | None:
-    """Read the time of each frame from the first one on [s]; None where the file does not say. Raises ``InputError``."""
+    """Read the times of all frames, from the first frame on [s]; None if incomplete. Raises ``InputError``."""
     timing = read_timing(path)
     times, base = timing.times, timing.base
     if not times or timing.untimed or len(set(times)) < len(times) or base is None:
@@ -176,7 +177,6 @@ def video_frames(path: Path, first: int, last: int) -> Iterator[UInt8[ndarray, "
 
 
 def _decode_frames(path: Path) -> Iterator[tuple[UInt8[ndarray, "H W 3"], float]]:
-    """All frames, and the frames per second."""
     with open_video(path) as container, _refuse_undecodable(path):
         stream = container.streams.video[0]
         fps = float(stream.average_rate or 30)
@@ -187,9 +187,9 @@ def _decode_frames(path: Path) -> Iterator[tuple[UInt8[ndarray, "H W 3"], float]
 def decode_at_times(
     path: Path, times: Sequence[Fraction], convert: Callable[[VideoFrame], Converted]
 ) -> Iterator[Converted]:
-    """Decode the frames at rising times [s] from the stream's start: one seek, then onwards. Raises ``InputError``.
+    """Decode the frames at rising times [s] from the stream's start: one seek, then onwards.
 
-    Yields fewer where the video ends before.
+    Times after the end of the video yield no frame. Raises ``InputError``.
     """
     waiting = list(times)
     with _refuse_undecodable(path), open_video(path) as container:
@@ -216,15 +216,12 @@ def _is_allowed_size(width: int, height: int) -> bool:
 
 
 def _square_pixel_width(frame: VideoFrame | VideoStream, aspect: Fraction | None) -> int:
-    """Width at which the pixels of a frame are square [px], before it is turned."""
+    """Return the width of a stored frame with square pixels [px]."""
     return max(1, round(frame.width * aspect)) if aspect else frame.width
 
 
 def frame_to_rgb(frame: VideoFrame, aspect: Fraction | None) -> UInt8[ndarray, "H W 3"]:
-    """Return the RGB image of a frame as shown. Raises ``ValueError`` for one that is too large.
-
-    Pixels that are stored ``aspect`` times as wide as high become square.
-    """
+    """Return the RGB image of a frame as shown, pixels of an ``aspect`` made square. Raises ``ValueError`` by size."""
     width = _square_pixel_width(frame, aspect)
     if not _is_allowed_size(width, frame.height):
         raise ValueError(f"a frame of {width} x {frame.height} pixels")
@@ -257,7 +254,7 @@ class ImageCache(Generic[Converted]):
         return self.images.get(index)
 
     def put(self, index: int, image: Converted) -> None:
-        """Cache an image, and drop the images not requested for the longest time."""
+        """Add an image, and drop the images not requested for the longest time."""
         if index in self.images:
             self.cached_bytes -= self.weigh(self.images.pop(index))
         self.cached_bytes += self.weigh(image)
@@ -288,7 +285,7 @@ class FrameDecoder(Generic[Converted]):
         """Index of the frame decoded last."""
 
     def get(self, index: int) -> Converted:
-        """Decode a frame. Raises ``InputError`` where it does not decode."""
+        """Decode a frame, or return the cached one. Raises ``InputError``."""
         from av.error import FFmpegError
 
         with self._lock:
@@ -316,14 +313,13 @@ class FrameDecoder(Generic[Converted]):
             self._container = None
 
     def _decode(self, index: int) -> None:
-        """Decode up to a frame, and keep it and some of those before it."""
         nearest = max(0, bisect_right(self._keys, self._times[index]) - 1)
         key = self._keys[nearest]
         if 0 <= self._at < index and self._times[self._at] >= key:
             self._advance(index, key)
             return
-        # Containers seek by decoding times, some only roughly: where a later frame came out, begin earlier, twice as
-        # far each time, and at last at the very beginning.
+        # Containers seek by decoding times, some only roughly: after a later frame, start earlier, twice as far each
+        # time, and finally at the beginning.
         for back in (0, 1, 2, 4, 8, nearest + 1):
             if back <= nearest:
                 container = self._container = self._container or open_video(self.path)
@@ -336,9 +332,10 @@ class FrameDecoder(Generic[Converted]):
                 return
 
     def _advance(self, index: int, key: int) -> bool:
-        """Decode on to a frame; whether it came. Frames before the key frame may be damaged and are passed over.
+        """Decode up to a frame, caching it and some frames before it; return whether it was found.
 
-        Raises ``InputError`` where times are not in the order of the frames: AVI does not keep those of B-frames.
+        Frames before the key frame may be damaged and are skipped. Raises ``InputError`` for times that are not in the
+        order of the frames: AVI does not keep the times of B-frames.
         """
         last = None
         for frame in self._decoded:
@@ -362,15 +359,16 @@ class FrameDecoder(Generic[Converted]):
 
 @dataclass(frozen=True)
 class FootageInterval:
-    """Some frames of a video or folder.
+    """Consecutive frames of a video or folder, from which a clip is cut.
 
     Attributes:
-        names: of the frames, as clips have them.
-        times: when each is shown, from the beginning of the footage [s].
+        first: number of the first frame, counted from 1.
+        names: names of the frames in a clip.
+        times: presentation times from the start of the footage [s].
         fps: frames per second.
         size: width and height as shown [px].
-        rate: where ``fps`` comes from, where that is a guess.
-        chosen: pattern of the images' names, where a folder has several sets of them.
+        rate: source of an assumed ``fps``.
+        chosen: pattern of the images' names, for a folder of several sets of images.
     """
 
     path: Path
@@ -383,7 +381,7 @@ class FootageInterval:
     chosen: str = ""
 
     def images(self) -> Iterator[UInt8[ndarray, "H W 3"]]:
-        """Yield RGB images, one by one. Raises ``InputError`` where one has another size."""
+        """Yield the RGB images. Raises ``InputError``, also for an image of another size."""
         last = self.first + len(self.names) - 1
         shown: Iterable[UInt8[ndarray, "H W 3"]] = (
             map(_read_frame_image, list_frame_images(self.path, self.chosen)[self.first - 1 : last])
@@ -392,13 +390,16 @@ class FootageInterval:
         )
         for name, image in zip(self.names, shown, strict=True):
             if image.shape[1::-1] != self.size:
-                got = f"{image.shape[1]} x {image.shape[0]} pixels in frame {files.printable(name)}"
+                got = f"{image.shape[1]} x {image.shape[0]} pixels in frame {printable(name)}"
                 raise InputError(self.path, "size", got, "{} x {}, as the first frame has".format(*self.size))
             yield image
 
 
 def size_and_rate(path: Path, fps: float | None, chosen: str = "") -> tuple[tuple[int, int], float]:
-    """Return width and height [px], and frames per second: as stated, else as the file says. Raises ``InputError``."""
+    """Return the size [px] and the frames per second of footage, ``fps`` if stated.
+
+    Raises ``InputError``, and ``UsageError`` for options that the footage does not take.
+    """
     if fps is not None and not 0.1 <= fps <= 10_000.0:
         raise UsageError(f"--fps must be 0.1 to 10000 frames per second (got {fps:g})")
     if path.is_dir():
@@ -415,7 +416,7 @@ def size_and_rate(path: Path, fps: float | None, chosen: str = "") -> tuple[tupl
 def footage_interval(
     path: Path, numbers: Int[ndarray, "T"], size: tuple[int, int], fps: float, stated: bool, chosen: str = ""
 ) -> FootageInterval:
-    """Return the frames of these numbers, counted from 1. Raises ``InputError`` where there are fewer."""
+    """Return the frames of rising ``numbers``, counted from 1. Raises ``InputError`` for shorter footage."""
     first, last = int(numbers[0]), int(numbers[-1])
     if path.is_dir():
         paths = list_frame_images(path, chosen)
@@ -432,21 +433,19 @@ def footage_interval(
 
 
 def list_frame_images(folder: Path, chosen: str = "", option: str = "--images") -> Sequence[Path]:
-    """List the images of a folder, in the order of the numbers in their names; those ``chosen`` by a pattern.
+    """List the images of a folder, by the numbers in their names; ``chosen`` is a pattern of their names.
 
-    Raises ``InputError`` where there is none, and for several sets of images (``naming.one_set``), among which the
-    command's ``option`` chooses.
+    Raises ``InputError`` without images, and for several sets of images, among which the command's ``option`` chooses.
     """
     paths = files.list_files(folder, IMAGE_SUFFIXES)
     if not paths:
         raise InputError(folder, "", "no images in it", f"a video, or a folder of images ({', '.join(IMAGE_SUFFIXES)})")
-    return sorted(
-        single_image_set(folder, paths, chosen, option), key=lambda path: (_natural_sort_key(path.stem), path.name)
-    )
+    chosen_paths = single_image_set(folder, paths, chosen, option)
+    return sorted(chosen_paths, key=lambda path: (_natural_sort_key(path.stem), path.name))
 
 
 def _natural_sort_key(name: str) -> list[tuple[int, str]]:
-    """Numbers in a name count as numbers: frame9 is before frame10."""
+    """Return a key that sorts frame9 before frame10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", name) if part]
 
 

@@ -263,7 +263,7 @@ def test_broken_cameras_are_named(root: Path, mano: Path, key: str, value: Any) 
         ("meta/misc.json", b'{"s01": {"image_size": [[2800, 2000]], "ioi_offset": 0}}', "s01.image_size"),
         ("meta/misc.json", b'{"s01": {"image_size": [[2800], [1, 2]], "ioi_offset": 0}}', "s01.image_size"),
         ("meta/object_vtemplates/ball/parts.json", b"[0, 1]", "2 numbers"),
-        ("meta/object_vtemplates/ball/parts.json", b"[0, [", "no JSON"),
+        ("meta/object_vtemplates/ball/parts.json", b"[0, [", "invalid JSON"),
         ("meta/object_vtemplates/ball/mesh.obj", b"v 1 2", "line 1"),
         ("meta/object_vtemplates/ball/mesh.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3", "0.001 m large"),
     ],
@@ -305,7 +305,7 @@ def test_real_hands_and_objects(folder: Path, mano: Path) -> None:
     assert poses.shape[1] == 7
     hands = rsc / "mano_double" / file.parent.name / file.name.replace(".object.", ".mano.")
     T_cam_world = np.tile(np.eye(4), (len(poses), 1, 1))
-    read = arctic._read_arctic_hands(hands, mano, T_cam_world, len(poses))
+    read = arctic._read_hands(hands, mano, T_cam_world, len(poses))
     joints = np.load(rsc / "mano_double" / "ee" / file.parent.name / file.name.replace(".object.npy", "_r.npy"))
     right = np.arange(3, 32 * (len(poses) // 32))
     wrists = read["right"].T_cam_hand[right] @ np.append(posed(mano, "right")[0].model.joints[0], 1.0)

@@ -17,7 +17,8 @@ from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.mano import load
 from getagrip.readers.datasets import cutting, tracks
-from getagrip.readers.datasets.ho3d import GRASPS_WITHIN_10_MM, Ho3d
+from getagrip.readers.datasets.ho3d import Ho3d
+from getagrip.readers.datasets.tracks import GRASPS_WITHIN_10_MM
 from helpers.hand_object_files import HELD, LOST, save, write_ho3d
 from helpers.held_ball import AT, BETAS, FRAMES, TAKEN, Hostile, bent, motion
 

@@ -26,6 +26,7 @@ from getagrip.clip.clip import FrameMasks, frame_indices
 from getagrip.clip.match_frames import MAX_NAMES_IN_ERROR, frame_of
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays, files, pickles
+from getagrip.io.files import printable, shorten_value
 from getagrip.readers.masks.mask_regions import union
 from getagrip.readers.masks.mask_request import LabelChoice, MaskReader, MaskRequest, combine_hand_object_masks
 
@@ -128,10 +129,8 @@ def _colour_channels(labels: Int[ndarray, "H W"]) -> list[Int[ndarray, "H W"]]:
 
 
 MASK_KINDS = ("object", "ignore", "hand")
-LOGITS_NOTE, PROBABILITIES_NOTE = (
-    "logits: values above 0 were used, in images",
-    "probabilities: values of one half and more were used, in images",
-)
+LOGITS_NOTE = "logits: values above 0 were used, in images"
+PROBABILITIES_NOTE = "probabilities: values of one half and more were used, in images"
 Numbers = Callable[[int], tuple[Path, str, ndarray]]
 """The file of a frame's array, its key, and the array."""
 
@@ -143,7 +142,7 @@ def open_npz_masks(path: Path, request: MaskRequest) -> MaskReader:
     if key is None:
         names = [name for name, array in stored.items() if array.ndim in (2, 3)]
         if not any(frame_of(name, request.frames) is not None for name in names):
-            there = f"the arrays {', '.join(map(files.printable, list(stored)[:3]))}" if stored else "no array"
+            there = f"the arrays {', '.join(map(printable, list(stored)[:3]))}" if stored else "no array"
             raise InputError(path, "object", there, "the array, or one called labels, or one for each frame")
         rows = request.places(path, [f"{name}.npy" for name in names])
         return _label_reader(path, lambda n: (path, names[rows[n]], stored[names[rows[n]]]), rows, request)
@@ -248,7 +247,7 @@ def _match_stack_rows(path: Path, stored: Mapping[str, ndarray], count: int, req
         return request.in_order(path, count)
     names = arrays.array_from_names(stored["frames"])
     if names is None or len(names) != count:
-        raise InputError(path, "frames", files.shorten_value(stored["frames"]), f"{count} names, or numbers from 0 on")
+        raise InputError(path, "frames", shorten_value(stored["frames"]), f"{count} names, or numbers from 0 on")
     return request.places(path, [str(name) for name in names])
 
 
@@ -296,7 +295,7 @@ def open_video_segments(path: Path, request: MaskRequest) -> MaskReader:
 def _masks_by_object(path: Path, name: str, of_frame: object) -> Mapping[object, object]:
     """Return the masks of a frame by object, of SAM 2 or of SAM 3. Raises ``InputError``."""
     if not isinstance(of_frame, Mapping):
-        raise InputError(path, files.printable(name), files.shorten_value(of_frame), SEGMENTS_DESCRIPTION)
+        raise InputError(path, printable(name), shorten_value(of_frame), SEGMENTS_DESCRIPTION)
     found = next(((ids, masks) for ids, masks in SAM3_KEYS if ids in of_frame and masks in of_frame), None)
     if found is None:
         return of_frame
@@ -304,21 +303,20 @@ def _masks_by_object(path: Path, name: str, of_frame: object) -> Mapping[object,
     try:
         return {str(int(one)): mask for one, mask in zip(ids, masks, strict=True)}
     except (TypeError, ValueError) as error:
-        raise InputError(
-            path, f"{files.printable(name)}.{found[0]}", files.shorten_value(ids), "a number for each mask"
-        ) from error
+        key = f"{printable(name)}.{found[0]}"
+        raise InputError(path, key, shorten_value(ids), "a number for each mask") from error
 
 
 def _check_mask_array(path: Path, key: str, value: object, request: MaskRequest) -> Bool[ndarray, "H W"]:
     """Check one mask. Raises ``InputError``."""
     expected = "a mask of booleans, whole numbers or logits"
     if not isinstance(value, ndarray):
-        raise InputError(path, files.printable(key), files.shorten_value(value), expected)
-    value = _check_image_array(path, files.printable(key), value, request)
+        raise InputError(path, printable(key), shorten_value(value), expected)
+    value = _check_image_array(path, printable(key), value, request)
     if value.dtype.kind == "f":
         least, most = float(value.min()), float(value.max())  # NaN where any is
         if not (least < 0.0 or 0.0 <= least <= most <= 1.0) or np.isnan(most):
-            raise InputError(path, files.printable(key), f"numbers from {least:g} to {most:g}", expected)
+            raise InputError(path, printable(key), f"numbers from {least:g} to {most:g}", expected)
         return np.asarray(value >= (0.5 if least >= 0.0 else np.nextafter(0.0, 1.0)))
     return np.asarray(value != 0)
 
@@ -345,5 +343,5 @@ def holds_objects(path: Path) -> bool:
 
 def _list_names(names: object) -> str:
     """List the first names, in words."""
-    all_names = [files.printable(str(name)) for name in names] if isinstance(names, list | dict) else []
+    all_names = [printable(str(name)) for name in names] if isinstance(names, list | dict) else []
     return ", ".join(all_names[:MAX_NAMES_IN_ERROR]) + (", ..." if len(all_names) > MAX_NAMES_IN_ERROR else "")

@@ -29,6 +29,7 @@ from getagrip.clip.clip import FrameMasks
 from getagrip.clip.match_frames import MAX_NAMES_IN_ERROR
 from getagrip.errors import InputError
 from getagrip.io import arrays, files
+from getagrip.io.files import printable, shorten_value
 from getagrip.io.images import decode_image
 from getagrip.readers.masks.mask_request import MaskReader, MaskRequest, combine_hand_object_masks
 
@@ -56,14 +57,14 @@ def fill_polygons(
 
     width, height = size
     if not isinstance(value, list) or not all(isinstance(corners, list) for corners in value):
-        raise InputError(path, key, files.shorten_value(value), "polygons, [[x, y, x, y, ...], ...]")
+        raise InputError(path, key, shorten_value(value), "polygons, [[x, y, x, y, ...], ...]")
     if sum(map(len, value)) > 2 * MAX_REGION_CORNERS:
         raise InputError(path, key, f"{sum(map(len, value)) // 2} corners", f"at most {MAX_REGION_CORNERS}")
     found, drawn = list[Float[ndarray, "n 2"]](), 0
     for corners in value:
         points = arrays.from_lists(corners)
         if points is None or points.dtype.kind not in "fi" or points.ndim != 1 or len(points) < 6 or len(points) % 2:
-            raise InputError(path, key, files.shorten_value(corners), "at least three corners x, y, x, y, x, y")
+            raise InputError(path, key, shorten_value(corners), "at least three corners x, y, x, y, x, y")
         points = points.reshape(-1, 2).astype(float)
         if not np.all((points >= -np.array(size)) & (points <= 2 * np.array(size))):  # false for NaN, too
             bad = f"corners from {points.min():g} to {points.max():g}"
@@ -121,18 +122,14 @@ def decode_run_lengths(path: Path, key: str, value: object, size: tuple[int, int
     width, height = size
     if not isinstance(value, dict) or value.get("size") != [height, width]:
         shape = value.get("size") if isinstance(value, dict) else value
-        raise InputError(
-            path, f"{key}.size", files.shorten_value(shape), f"[{height}, {width}], the size of the images"
-        )
+        raise InputError(path, f"{key}.size", shorten_value(shape), f"[{height}, {width}], the size of the images")
     counts = value.get("counts")
     if isinstance(counts, str):
         counts = _decode_coco_counts(path, key, counts, width * height)
     whole = isinstance(counts, list) and all(type(n) is int and n >= 0 for n in counts)
     if not whole or not isinstance(counts, list) or sum(counts) != width * height:
-        input_words = (
-            f"runs of {sum(counts)} pixels" if whole and isinstance(counts, list) else files.shorten_value(counts)
-        )
-        raise InputError(path, f"{key}.counts", input_words, f"runs of {width * height} pixels in all")
+        got = f"runs of {sum(counts)} pixels" if whole and isinstance(counts, list) else shorten_value(counts)
+        raise InputError(path, f"{key}.counts", got, f"runs of {width * height} pixels in all")
     inside = np.arange(len(counts)) % 2 == 1
     return np.repeat(inside, counts).reshape(width, height).T
 
@@ -147,7 +144,7 @@ def _decode_coco_counts(path: Path, key: str, text: str, pixels: int) -> list[in
     for letter in text:
         group = ord(letter) - 48
         if not 0 <= group < 64 or bits > 30:
-            raise InputError(path, f"{key}.counts", files.shorten_value(text), "COCO's compressed run lengths")
+            raise InputError(path, f"{key}.counts", shorten_value(text), "COCO's compressed run lengths")
         value |= (group & 31) << bits
         bits += 5
         if not group & 32:
@@ -192,11 +189,9 @@ def decode_region(
     """Decode a COCO ``segmentation`` of either kind, or a ``PngRegion``. Raises ``InputError``."""
     if isinstance(value, PngRegion):
         return value.pixels(path, key, size)
-    return (
-        decode_run_lengths(path, key, value, size)
-        if isinstance(value, dict)
-        else fill_polygons(path, key, value, size, notes)
-    )
+    if isinstance(value, dict):
+        return decode_run_lengths(path, key, value, size)
+    return fill_polygons(path, key, value, size, notes)
 
 
 def run_length_size(value: object) -> tuple[int, int] | None:
@@ -306,18 +301,13 @@ def region_masks(path: Path, request: MaskRequest, regions: Mapping[int, Sequenc
 
     def read(n: int) -> FrameMasks:
         frame = frames[n]
-        return combine_hand_object_masks(
-            drawn(frame.object), drawn(frame.ignore), drawn(frame.hand) if request.hand else None
-        )
+        hand = drawn(frame.hand) if request.hand else None
+        return combine_hand_object_masks(drawn(frame.object), drawn(frame.ignore), hand)
 
     chosen = {"--object": request.object, "--ignore": request.ignore, "--hand": request.hand}
     every = [one for of_frame in regions.values() for one in of_frame]
-    unmet = {
-        f"{option} {word}"
-        for option, words in chosen.items()
-        for word in words
-        if not any(one.is_of([word]) for one in every)
-    }
+    named = [(option, word) for option, words in chosen.items() for word in words]
+    unmet = {f"{option} {word}" for option, word in named if not any(one.is_of([word]) for one in every)}
     everything = {one.name for one in every}
     return MaskReader(path, read, frames.keys(), {*sorted(everything)[:MAX_NAMES_IN_ERROR]}, unmet, notes, warnings)
 
@@ -356,14 +346,10 @@ def _describe_label_ambiguity(option: str, chosen: Sequence[str], frames: Sequen
         counts = [sum(not one.thing for one in found) + len({one.thing for one in found} - {""}) for found in each]
         if len(things) < 2 and max(counts) < 2:
             continue
-        name, several = files.printable(label), sum(count > 1 for count in counts)
+        name, several = printable(label), sum(count > 1 for count in counts)
         where = f"{max(counts)} regions in {several} of {len(frames)} frames" if several else "one in each frame"
         names = sorted(f"{label}:{one}" for one in things - {""})[:MAX_NAMES_IN_ERROR]
-        way = (
-            f"{option} chooses one: {' or '.join(map(files.printable, names))}"
-            if names
-            else "a track_id tells them apart"
-        )
+        way = f"{option} chooses one: {' or '.join(map(printable, names))}" if names else "a track_id tells them apart"
         yield (
             f"several things are called {name}, {where}, and were taken together; {way}; "
             f"{option} {name}:{ALL_INSTANCES} if all are meant"
@@ -371,7 +357,7 @@ def _describe_label_ambiguity(option: str, chosen: Sequence[str], frames: Sequen
 
 
 def _join_label_names(names: set[str]) -> str:
-    return ", ".join(map(files.printable, sorted(names)[:MAX_NAMES_IN_ERROR]))
+    return ", ".join(map(printable, sorted(names)[:MAX_NAMES_IN_ERROR]))
 
 
 THING_KEYS = ("track_id", "instance_id", "object_id")
@@ -383,24 +369,22 @@ def open_coco_masks(path: Path, content: Mapping[str, object], request: MaskRequ
     images, names = check_object_list(path, content, "images"), []
     for k, image in enumerate(images):
         if not isinstance(image.get("file_name"), str) or not isinstance(image.get("id"), int | str):
-            raise InputError(path, f"images[{k}]", files.shorten_value(image), "an id and a file_name")
+            raise InputError(path, f"images[{k}]", shorten_value(image), "an id and a file_name")
         extra = image.get("extra")
         original = extra.get("name") if isinstance(extra, dict) else None  # Roboflow's
         names.append(original if isinstance(original, str) else image["file_name"])
     if len({*names}) < len(names):  # versions of one image
         names = [image["file_name"] for image in images]
     places = request.places(path, names)
-    sizes = {
-        n: read_stated_size(path, f"images[{k}]", images[k], "width", "height", request) for n, k in places.items()
-    }
+    stated = ("width", "height", request)
+    sizes = {n: read_stated_size(path, f"images[{k}]", images[k], *stated) for n, k in places.items()}
     index = {images[k]["id"]: n for n, k in places.items()}
     regions: dict[int, list[Region]] = {n: [] for n in places}
     for key, item, labels in _iter_annotations(path, content, "image_id"):
         if item["image_id"] in index:
             n = index[item["image_id"]]
-            regions[n].append(
-                Region(f"{key}.segmentation", labels, _instance_of(item), item.get("segmentation"), sizes[n])
-            )
+            pixels = item.get("segmentation")
+            regions[n].append(Region(f"{key}.segmentation", labels, _instance_of(item), pixels, sizes[n]))
     return region_masks(path, request, regions)
 
 
@@ -411,9 +395,9 @@ def open_youtube_vis_masks(path: Path, content: Mapping[str, object], request: M
     for k, video in enumerate(check_object_list(path, content, "videos")):
         of_video = video.get("file_names")
         if not isinstance(video.get("id"), int | str) or not isinstance(of_video, list):
-            raise InputError(path, f"videos[{k}]", files.shorten_value(video), "an id and file_names")
+            raise InputError(path, f"videos[{k}]", shorten_value(video), "an id and file_names")
         if not all(isinstance(name, str) for name in of_video):
-            raise InputError(path, f"videos[{k}].file_names", files.shorten_value(of_video), "names of files")
+            raise InputError(path, f"videos[{k}].file_names", shorten_value(of_video), "names of files")
         names += of_video
         where += [(video["id"], row) for row in range(len(of_video))]
     index = {where[k]: n for n, k in request.places(path, names).items()}
@@ -421,9 +405,7 @@ def open_youtube_vis_masks(path: Path, content: Mapping[str, object], request: M
     for key, item, labels in _iter_annotations(path, content, "video_id"):
         listed = item.get("segmentations")
         if not isinstance(listed, list):
-            raise InputError(
-                path, f"{key}.segmentations", files.shorten_value(listed), "a region for each frame, or null"
-            )
+            raise InputError(path, f"{key}.segmentations", shorten_value(listed), "a region for each frame, or null")
         for row, one in enumerate(listed):
             n = index.get((item["video_id"], row))
             if n is not None and one is not None:
@@ -437,7 +419,7 @@ def read_stated_size(
     """Return the size that a file states of an image. Raises ``InputError`` for another shape than the clip's."""
     sides = content.get(width), content.get(height)
     if not all(type(side) is int and side > 0 for side in sides):
-        raise InputError(path, key, " x ".join(map(files.shorten_value, sides)), "{} x {}".format(*request.size))
+        raise InputError(path, key, " x ".join(map(shorten_value, sides)), "{} x {}".format(*request.size))
     return request.check_size(path, key, sides)  # type: ignore[arg-type]
 
 
@@ -445,7 +427,7 @@ def check_object_list(path: Path, content: Mapping[str, object], key: str, neede
     """Check a list of JSON objects. Raises ``InputError``."""
     value = content.get(key, None if needed else [])
     if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-        got = "no such key" if key not in content else files.shorten_value(value)
+        got = "no such key" if key not in content else shorten_value(value)
         raise InputError(path, key, got, "a list of objects, as COCO has it")
     return value
 
@@ -460,7 +442,7 @@ def _iter_annotations(
         category = item.get("category_id")
         if not isinstance(item.get(of), int | str) or not isinstance(category, int | str):
             article = "an" if of[0] in "aeiou" else "a"
-            raise InputError(path, f"annotations[{k}]", files.shorten_value(item), f"{article} {of} and a category_id")
+            raise InputError(path, f"annotations[{k}]", shorten_value(item), f"{article} {of} and a category_id")
         label = str(category)
         yield f"annotations[{k}]", item, (names[label], label) if label in names else (label,)
 
@@ -488,9 +470,8 @@ def open_labelme_masks(source: Path, paths: Sequence[Path], request: MaskRequest
         content = files.read_json(path)
         size = read_stated_size(path, "imageWidth", content, "imageWidth", "imageHeight", request)
         shapes = check_object_list(path, content, "shapes")
-        regions[n] = _group_polygons(
-            [_labelme_region(path, f"shapes[{i}]", item, size) for i, item in enumerate(shapes)]
-        )
+        each = [_labelme_region(path, f"shapes[{i}]", item, size) for i, item in enumerate(shapes)]
+        regions[n] = _group_polygons(each)
     return region_masks(source, request, regions)
 
 
@@ -512,11 +493,10 @@ def _labelme_region(path: Path, key: str, item: Mapping[str, object], size: tupl
     label, group, kind = item.get("label"), item.get("group_id"), item.get("shape_type", "polygon")
     points = arrays.from_lists(item.get("points"))
     if not isinstance(label, str) or kind not in SHAPE_POINT_COUNTS:
-        raise InputError(
-            path, key, files.shorten_value(kind if isinstance(label, str) else label), f"a label, {SUPPORTED_SHAPES}"
-        )
+        got = shorten_value(kind if isinstance(label, str) else label)
+        raise InputError(path, key, got, f"a label, {SUPPORTED_SHAPES}")
     if points is None or points.dtype.kind not in "fi" or points.ndim != 2 or points.shape[1] != 2:
-        raise InputError(path, f"{key}.points", files.shorten_value(item.get("points")), "[[x, y], ...]")
+        raise InputError(path, f"{key}.points", shorten_value(item.get("points")), "[[x, y], ...]")
     if SHAPE_POINT_COUNTS[kind] not in (0, len(points)) or not np.isfinite(points).all():
         raise InputError(path, f"{key}.points", f"{len(points)} points", f"{SHAPE_POINT_COUNTS[kind]} points")
     content: object = [points.ravel().tolist()]
@@ -537,7 +517,7 @@ def _decode_png(path: Path, key: str, text: object) -> bytes:
     try:
         return base64.b64decode(text if isinstance(text, str) else "-", validate=True)
     except ValueError as error:
-        raise InputError(path, f"{key}.mask", files.shorten_value(text), "a PNG in base64") from error
+        raise InputError(path, f"{key}.mask", shorten_value(text), "a PNG in base64") from error
 
 
 def open_masklets(path: Path, content: Mapping[str, object], request: MaskRequest) -> MaskReader:
@@ -547,12 +527,12 @@ def open_masklets(path: Path, content: Mapping[str, object], request: MaskReques
     """
     listed, count = content.get("masklet"), content.get("video_frame_count")
     if not isinstance(listed, list) or not all(isinstance(of_frame, list) for of_frame in listed) or not listed:
-        raise InputError(path, "masklet", files.shorten_value(listed), "run lengths of each object in each frame")
+        raise InputError(path, "masklet", shorten_value(listed), "run lengths of each object in each frame")
     if not isinstance(count, int | float) or not len(listed) <= count <= 1e6:
-        raise InputError(path, "video_frame_count", files.shorten_value(count), f"at least {len(listed)} frames")
+        raise InputError(path, "video_frame_count", shorten_value(count), f"at least {len(listed)} frames")
     things = content.get("masklet_id")
     if not isinstance(things, list) or not all(len(of_frame) == len(things) for of_frame in listed):
-        raise InputError(path, "masklet_id", files.shorten_value(things), "the number of each object in each frame")
+        raise InputError(path, "masklet_id", shorten_value(things), "the number of each object in each frame")
     each = round(count / len(listed))
     places = request.places(path, [str(each * k) for k in range(len(listed))])
     regions = {
@@ -581,7 +561,7 @@ def open_yolo_masks(source: Path, paths: Sequence[Path], request: MaskRequest) -
                 corners = np.zeros((0, 2))
             if words and (len(corners) < 3 or not np.isfinite(corners).all()):
                 expected = "a class and at least three corners, x y x y x y; boxes are no masks"
-                raise InputError(paths[k], f"line {row}", files.shorten_value(line), expected)
+                raise InputError(paths[k], f"line {row}", shorten_value(line), expected)
             if words:
                 regions[n].append(Region(f"line {row}", (words[0],), "", [corners.ravel().tolist()], path=paths[k]))
     return region_masks(source, request, regions)

@@ -28,7 +28,8 @@ from getagrip.clip.match_frames import (
 )
 from getagrip.clip.read_arrays import check_shape
 from getagrip.errors import InputError, UsageError
-from getagrip.io import arrays, files
+from getagrip.io import arrays
+from getagrip.io.files import printable
 from getagrip.io.images import open_png
 
 RESIZED_MASKS_NOTE = "masks of {} x {} pixels were resized to {} x {}, in images"
@@ -137,9 +138,9 @@ class MaskRequest:
 
     def nothing(self, source: Path, names: Sequence[str]) -> InputError:
         """Make the error that there is no mask of any frame."""
-        some = ", ".join(map(files.printable, names[:2])) + (", ..." if len(names) > 2 else "")
+        some = ", ".join(map(printable, names[:2])) + (", ..." if len(names) > 2 else "")
         got = f"no mask of any of {len(self.frames)} frames" + (f" among {some}" if names else "")
-        return InputError(source, "", got, f"masks named like the frames, as {files.printable(self.frames[0])}")
+        return InputError(source, "", got, f"masks named like the frames, as {printable(self.frames[0])}")
 
 
 ALPHA_NOTE = "the alpha channel was used as the mask, in images"

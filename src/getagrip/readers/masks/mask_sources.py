@@ -28,6 +28,7 @@ from getagrip.clip.clip import FrameMasks
 from getagrip.clip.match_frames import MAX_NAMES_IN_ERROR
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays, files
+from getagrip.io.files import printable
 from getagrip.io.images import png_size
 from getagrip.readers.masks.mask_arrays import (
     Load,
@@ -81,9 +82,8 @@ def _open_masks_by_format(path: Path, request: MaskRequest) -> MaskReader:
     if path.is_dir():
         return _open_mask_folder(path, request)
     if path.suffix in {".pkl", ".pickle", ".npy"} and path.is_file():
-        return (open_npy_masks if path.suffix == ".npy" and not holds_objects(path) else open_video_segments)(
-            path, request
-        )
+        is_array = path.suffix == ".npy" and not holds_objects(path)
+        return (open_npy_masks if is_array else open_video_segments)(path, request)
     if path.suffix == ".npz":
         return open_npz_masks(path, request)
     if path.suffix == ".json":
@@ -92,9 +92,8 @@ def _open_masks_by_format(path: Path, request: MaskRequest) -> MaskReader:
             return open_masklets(path, content, request)
         if "shapes" in content:
             return open_labelme_masks(path, [path], request)
-        return (open_youtube_vis_masks if "videos" in content and "images" not in content else open_coco_masks)(
-            path, content, request
-        )
+        is_youtube_vis = "videos" in content and "images" not in content
+        return (open_youtube_vis_masks if is_youtube_vis else open_coco_masks)(path, content, request)
     got = "no folder, .json, .npz, .pkl or .npy" if path.exists() else "no such file or folder"
     convert = next((text for suffixes, text in CONVERSION_HINTS.items() if path.suffix.lower() in suffixes.split()), "")
     raise InputError(path, "", got, f"masks: a folder of PNG, COCO's JSON, arrays, or SAM 2's video_segments{convert}")
@@ -115,15 +114,12 @@ def _open_mask_folder(folder: Path, request: MaskRequest) -> MaskReader:
     if images[".json"]:
         return open_labelme_masks(folder, images[".json"], request)
     if images[".txt"]:
-        return open_yolo_masks(
-            folder, [path for path in images[".txt"] if path.stem not in ("classes", "labels")], request
-        )
+        texts = [path for path in images[".txt"] if path.stem not in ("classes", "labels")]
+        return open_yolo_masks(folder, texts, request)
     other = next((path.name for path in files.list_files(folder, LOSSY_IMAGE_SUFFIXES)), None)
     got = f"no mask of any of {len(request.frames)} frames"
-    got += f"; {files.printable(other)} is no PNG, and has no labels" if other else ""
-    raise InputError(
-        folder, "", got, f"a PNG for each frame, named like it, as {files.printable(request.frames[0])}.png"
-    )
+    got += f"; {printable(other)} is no PNG, and has no labels" if other else ""
+    raise InputError(folder, "", got, f"a PNG for each frame, named like it, as {printable(request.frames[0])}.png")
 
 
 def _open_object_folders(folder: Path, request: MaskRequest, things: Sequence[str]) -> MaskReader:
@@ -140,7 +136,7 @@ def _open_object_folders(folder: Path, request: MaskRequest, things: Sequence[st
         wrong = next((name for name in names if name not in things), None)
         if wrong is not None or (kind == "object" and not names):
             which = f"missing --{kind}" if wrong is None else f"unknown --{kind} {wrong!r}"
-            there = ", ".join(files.printable(name) for name in things[:MAX_NAMES_IN_ERROR])
+            there = ", ".join(printable(name) for name in things[:MAX_NAMES_IN_ERROR])
             raise UsageError(f"{which}; choose from the folders in {folder}: {there}")
     notes = Counter[str]()
     images = {
@@ -175,15 +171,14 @@ def _open_cvat_masks(folder: Path, request: MaskRequest) -> MaskReader:
     try:
         colours = {name: "#{:02x}{:02x}{:02x}".format(*map(int, value.split(","))) for name, value in values.items()}
     except (ValueError, IndexError) as error:
-        raise InputError(
-            folder / CVAT_LABEL_FILE, "", f"no colours of labels ({error})", "label:red,green,blue::"
-        ) from error
+        got = f"no colours of labels ({error})"
+        raise InputError(folder / CVAT_LABEL_FILE, "", got, "label:red,green,blue::") from error
     names = [name for name, colour in colours.items() if colour != "#000000"]
     chosen = {"object": request.object or tuple(names[:1]), "ignore": request.ignore, "hand": request.hand}
     wrong = next((each for each in chosen.items() if {*each[1]} - {*colours, *colours.values()}), None)
     if wrong is not None or (len(names) > 1 and not request.object) or not names:
         which = "missing --object" if wrong is None else f"unknown --{wrong[0]} {' '.join(wrong[1])}"
-        raise UsageError(f"{which}; choose from the labels of {folder}: {', '.join(map(files.printable, names))}")
+        raise UsageError(f"{which}; choose from the labels of {folder}: {', '.join(map(printable, names))}")
     by_colour = {kind: tuple(colours.get(name, name) for name in texts) for kind, texts in chosen.items()}
     source = folder / CVAT_MASK_FOLDER
     return _open_label_images(source, files.list_files(source, (".png",)), replace(request, **by_colour))  # type: ignore[arg-type]

@@ -72,9 +72,7 @@ def _is_tracker(name: str, it: object) -> bool:
     return isinstance(it, Tracker) and name.isidentifier() and not iskeyword(name)
 
 
-TRACKERS = PluginTable(
-    "trackers", _BUILTIN_TRACKERS, "a Tracker, under a name that is a Python identifier", _is_tracker
-)
+TRACKERS = PluginTable("trackers", _BUILTIN_TRACKERS, "a Tracker, its name a Python identifier", _is_tracker)
 
 
 def usable(taken: Iterable[str] = ()) -> dict[str, Tracker]:
@@ -83,9 +81,8 @@ def usable(taken: Iterable[str] = ()) -> dict[str, Tracker]:
     for name, tracker in TRACKERS.working().items():
         options = vars(tracker)
         if name not in _BUILTIN_TRACKERS and (both := next((one for one in options if one in owners), None)):
-            plugins.warn_once(
-                f"{plugins.plugin_of(tracker) or name} is left out: {owners[both]} has an option {both!r}, too"
-            )
+            plugin = plugins.plugin_of(tracker) or name
+            plugins.warn_once(f"{plugin} is left out: {owners[both]} has an option {both!r}, too")
             continue
         there[name] = tracker
         owners |= dict.fromkeys(options, f"the tracker {name}")

@@ -20,7 +20,8 @@ from numpy import ndarray
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.model import Side
-from getagrip.io import files, plugins
+from getagrip.io import plugins
+from getagrip.io.files import printable
 from getagrip.provenance import estimated
 from getagrip.readers.trackers.estimates import Estimate, Estimates, Request
 from getagrip.readers.trackers.read_hands import check_before_camera
@@ -93,7 +94,7 @@ def _read_joint_poses(path: Path, episode: Group, name: str) -> Float[ndarray, "
         data = data[part]
     shape: tuple[int, ...] = getattr(data, "shape", None) or ()
     if len(shape) != 3 or shape[1:] != (4, 4) or not 0 < shape[0] <= MAX_EPISODE_FRAMES or data.dtype.kind not in "fiu":
-        got = f"{files.printable(str(getattr(data, 'dtype', 'a group')))} of shape {shape}"
+        got = f"{printable(str(getattr(data, 'dtype', 'a group')))} of shape {shape}"
         raise InputError(path, key, got, f"poses (N, 4, 4), numbers, of at most {MAX_EPISODE_FRAMES} frames")
     if data.external or data.is_virtual:
         raise InputError(path, key, "an array of another file", "poses in this file")

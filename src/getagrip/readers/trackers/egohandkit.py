@@ -76,10 +76,8 @@ def _hamer_records_by_image(path: Path, record: Record) -> dict[str, list[Record
             listed = {str(frame["img_path"]): frame["hands"] for frame in record["frames"]}
             parts = {name: [(one["mano"], one["cam_trans"], one["meta"]) for one in of] for name, of in listed.items()}
         else:
-            parts = {
-                str(name): list(zip(of["mano"], of["cam_trans"], of["backend_meta"], strict=True))
-                for name, of in record.items()
-            }
+            keys = ("mano", "cam_trans", "backend_meta")
+            parts = {str(name): list(zip(*(of[key] for key in keys), strict=True)) for name, of in record.items()}
         for name, hands in parts.items():
             images[name] = []
             for mano, t, meta in hands:

@@ -39,7 +39,7 @@ from tyro.conf import arg
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.model import SIDE_MIRROR, Side
-from getagrip.io import files
+from getagrip.io.files import shorten_value
 from getagrip.io.options import one_of
 from getagrip.provenance import Basis, Source
 from getagrip.readers.trackers import hamer_demo
@@ -80,9 +80,8 @@ class DemoTracker(Tracker):
         found = []
         for path, frame, content in per_image(unsaved, request):
             for record in split_people(path, content):
-                found += [
-                    hamer_estimate(path, frame, hand, request) for hand in select_hamer_side(path, record, request.side)
-                ]
+                hands = select_hamer_side(path, record, request.side)
+                found += [hamer_estimate(path, frame, hand, request) for hand in hands]
         return Estimates(request.side, tuple(found))
 
 
@@ -129,7 +128,7 @@ def split_people(path: Path, content: Record) -> list[Record]:
     each = [_rename_to_hamer_keys(hand) for hand in (listed if isinstance(listed, list) else [listed])]
     wrong = next((hand for hand in each if not isinstance(hand, Mapping)), None)
     if wrong is not None:
-        raise InputError(path, "", files.shorten_value(wrong), "a dictionary for each hand")
+        raise InputError(path, "", shorten_value(wrong), "a dictionary for each hand")
     return each
 
 
@@ -219,10 +218,8 @@ def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakP
         return weak.resized(zoom), Source(f"pred_cam_t_full, {known}, and the clip's put in{swapped}", basis)
     cam = record_numbers(path, record, "pred_cam", (3,))
     if "box_center" in record:
-        centre, side = (
-            record_numbers(path, record, "box_center", (2,)),
-            float(record_numbers(path, record, "box_size", ())),
-        )
+        centre = record_numbers(path, record, "box_center", (2,))
+        side = float(record_numbers(path, record, "box_size", ()))
         source = "box_center and box_size"
     else:
         source = next((key for key in ("box_xyxy_456x256", "box_xyxy") if key in record), "box_center")
@@ -242,24 +239,17 @@ def _record_image_size(path: Path, record: Record, camera: Camera) -> tuple[Floa
     """
     if "box_xyxy_456x256" in record:
         return np.array(BOX_IMAGE_SIZE_PX, dtype=float), ""
-    size = (
-        record_numbers(path, record, "img_size", (2,)) if "img_size" in record else np.array(camera.size, dtype=float)
-    )
+    size = np.array(camera.size, dtype=float)
+    if "img_size" in record:
+        size = record_numbers(path, record, "img_size", (2,))
     if not size.min() >= 1.0:
         raise InputError(path, "img_size", str(size.tolist()), "width and height [px]")
-    clip = camera.size[0] / camera.size[1]
+    clip, wanted = camera.size[0] / camera.size[1], _format_image_size(camera.size)
     if abs(np.log(size[0] / size[1] / clip)) < ASPECT_RATIO_LOG_TOLERANCE:
         return size, ""
     if abs(np.log(size[1] / size[0] / clip)) < ASPECT_RATIO_LOG_TOLERANCE:
-        return size[
-            ::-1
-        ], f"; img_size read as height and width, a guess: the clip's images are {_format_image_size(camera.size)}"
-    raise InputError(
-        path,
-        "img_size",
-        _format_image_size(size),
-        f"width and height like the clip's images, {_format_image_size(camera.size)}",
-    )
+        return size[::-1], f"; img_size read as height and width, a guess: the clip's images are {wanted}"
+    raise InputError(path, "img_size", _format_image_size(size), f"width and height like the clip's images, {wanted}")
 
 
 def _format_image_size(size: Sequence[float] | ndarray) -> str:

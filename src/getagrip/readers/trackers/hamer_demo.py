@@ -108,9 +108,7 @@ def _estimate_saved_hand(
         )
     assert path is not None
     if not origin[2] > 0:
-        raise InputError(
-            path, "", f"a hand at the depth {origin[2]:.3g} m", "one before the camera, as the demo has it"
-        )
+        raise InputError(path, "", f"a hand at the depth {origin[2]:.3g} m", "a hand before the demo's camera")
     weak = WeakPerspective.of_translation(origin, hamer_focal(request.size), np.array(request.size) / 2.0)
     shift = weak.before(request.camera(frame)) - origin
     moved = None if vertices is None else vertices + shift
@@ -137,7 +135,6 @@ def _read_demo_joints(path: Path, person: int) -> Float[ndarray, "21 3"]:
     """Read the joints of one person before the demo's camera, as the network sees them. Raises ``InputError``."""
     rows = records.record_numbers(path, records.read_tracker_record(path), "joints", (-1, 21, 3))
     if person % DEMO_BATCH_SIZE >= len(rows):
-        raise InputError(
-            path, "", f"{len(rows)} hands", f"at least {person % DEMO_BATCH_SIZE + 1}: it is named after hand {person}"
-        )
+        expected = f"at least {person % DEMO_BATCH_SIZE + 1}: it is named after hand {person}"
+        raise InputError(path, "", f"{len(rows)} hands", expected)
     return rows[person % DEMO_BATCH_SIZE]

@@ -29,6 +29,7 @@ from getagrip.clip.match_frames import frame_of, has_number_offset
 from getagrip.errors import InputError, MissingOptionError
 from getagrip.geometry import se3
 from getagrip.io import files
+from getagrip.io.files import shorten_value
 from getagrip.provenance import estimated
 from getagrip.readers.trackers import records
 from getagrip.readers.trackers.dynhamr import mano_root_joint, world_to_camera_mano
@@ -95,9 +96,8 @@ class HaWoR(Tracker):
         """
         if self.estimator_focal is not None:
             return self.estimator_focal
-        noted = next(
-            (folder / HAWOR_FOCAL_FILE for folder in path.parents[:3] if (folder / HAWOR_FOCAL_FILE).is_file()), None
-        )
+        notes = (folder / HAWOR_FOCAL_FILE for folder in path.parents[:3])
+        noted = next((note for note in notes if note.is_file()), None)
         if noted is None:
             raise MissingOptionError("missing --estimator-focal: the focal length that HaWoR was run with [px]")
         noted = files.inside(noted.parent, HAWOR_FOCAL_FILE, "", "a focal length")
@@ -107,7 +107,7 @@ class HaWoR(Tracker):
         except ValueError:
             focal = 0.0
         if not 0.0 < focal < records.MAX_RECORD_VALUE:
-            raise InputError(noted, "", files.shorten_value(text), "a focal length [px]")
+            raise InputError(noted, "", shorten_value(text), "a focal length [px]")
         return focal
 
     def _frames(self, path: Path, record: Record, count: int, request: Request) -> list[int | None]:
@@ -140,10 +140,8 @@ def _world_estimates(path: Path, record: Record, focal: float, request: Request)
     T_cam_world = se3.inverse(slam_poses(slam))
     if len(T_cam_world) != T:
         raise InputError(slam, "traj", f"{len(T_cam_world)} poses", f"{T}, one for each frame of {path.name}")
-    R, pose = (
-        record_numbers(path, record, "pred_rot", (2, T, 3))[row],
-        record_numbers(path, record, "pred_hand_pose", (2, T, 45))[row],
-    )
+    R = record_numbers(path, record, "pred_rot", (2, T, 3))[row]
+    pose = record_numbers(path, record, "pred_hand_pose", (2, T, 45))[row]
     betas = record_numbers(path, record, "pred_betas", (2, T, 10))[row]
     for n, frame in enumerate(frames_of_images(path, record, T, request)):
         if frame is not None and valid[n] > 0.5:
@@ -186,9 +184,8 @@ def hawor_estimate(path: Path, frame: int, record: Record, camera: Camera, focal
     fingers = record_numbers(path, record, "init_hand_pose", (15, 3, 3), (15, 3), (45,))
     matrices = to_rotation_matrices(path, "init_hand_pose", fingers if fingers.ndim > 1 else fingers.reshape(15, 3), 1)
     pose = se3.log_so3(matrices).reshape(45)
-    R = to_rotation_matrices(
-        path, "init_root_orient", record_numbers(path, record, "init_root_orient", (3, 3), (3,)), 0
-    )
+    orient = record_numbers(path, record, "init_root_orient", (3, 3), (3,))
+    R = to_rotation_matrices(path, "init_root_orient", orient, 0)
     weak = WeakPerspective.of_translation(t, focal, np.array(camera.size) / 2.0)
     depth = f"HaWoR's translation, its focal length {focal:.6g} px divided out and the clip's put in"
     betas = record_numbers(path, record, "init_betas", (10,))

@@ -14,7 +14,7 @@ from tyro.conf import arg
 
 from getagrip.errors import InputError, MissingOptionError
 from getagrip.hands.fit_joints import JOINT_ORDERS
-from getagrip.io import files
+from getagrip.io.files import printable
 from getagrip.io.options import one_of
 from getagrip.provenance import assumed
 from getagrip.readers.trackers import hamer_demo, records
@@ -23,9 +23,7 @@ from getagrip.readers.trackers.read_hands import Order, check_before_camera, reo
 from getagrip.readers.trackers.records import Sample, record_numbers
 from getagrip.readers.trackers.tracker import Tracker, frames_of_rows, only_file
 
-JOINTS_DEPTH_SOURCE = assumed(
-    "joints before the camera, as the file has them; that it was the clip's camera is a guess"
-)
+JOINTS_DEPTH_SOURCE = assumed("joints before the camera, as the file has them; that it is the clip's camera is a guess")
 
 
 SOMA_JOINT_INDICES = [0, 1, 2, 3, 4, *range(6, 10), *range(11, 15), *range(16, 20), *range(21, 25)]
@@ -42,9 +40,8 @@ class Joints(Tracker):
     looks_for = "joints (T, 21, 3)"
 
     def recognises(self, sample: Sample) -> str:
-        if np.shape(sample.record.get("joints", ()))[-2:] != (21, 3) or sample.path.stem.endswith(
-            hamer_demo.DEMO_JOINTS_SUFFIX
-        ):
+        of_demo = sample.path.stem.endswith(hamer_demo.DEMO_JOINTS_SUFFIX)
+        if np.shape(sample.record.get("joints", ()))[-2:] != (21, 3) or of_demo:
             return ""
         return "21 joints in every frame"
 
@@ -93,8 +90,8 @@ def joint_estimates(
         if frame is not None
     ]
     if not found:
-        got = f"hands in other frames ({files.printable(str(np.asarray(record['frames'])[0]))}, ...)"
-        named = " to ".join(files.printable(frame) for frame in (request.frames[0], request.frames[-1]))
+        got = f"hands in other frames ({printable(str(np.asarray(record['frames'])[0]))}, ...)"
+        named = " to ".join(printable(frame) for frame in (request.frames[0], request.frames[-1]))
         raise InputError(path, "frames", got, f"hands in the clip's, {named}")
     scale = "; ".join(filter(None, ["the joints, as the file has them", ordered.chosen]))
     return Estimates(request.side, tuple(found), scale=scale, warning=ordered.warning)

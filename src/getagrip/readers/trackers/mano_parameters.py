@@ -30,9 +30,7 @@ from getagrip.readers.trackers.tracker import Tracker, frames_of_rows, only_file
 
 Encoding = Literal["axis-angle", "pca", "matrix"]
 Mean = Literal["flat", "mean"]
-MANO_DEPTH_SOURCE = assumed(
-    "transl, as the file has it; that the file was made with the clip's focal length is a guess"
-)
+MANO_DEPTH_SOURCE = assumed("transl, as the file has it; that the file assumes the clip's focal length is a guess")
 
 
 @dataclass(frozen=True)
@@ -90,9 +88,8 @@ def read_mano_parameters(
     else:
         counts = range(1, 46)
         values = record_numbers(path, record, "hand_pose", *((T, count) for count in counts))
-    return [
-        HandParameters(*each) for each in zip(R, _pose_from_flat(values, encoding, mean, model), betas, t, strict=True)
-    ]
+    poses = _pose_from_flat(values, encoding, mean, model)
+    return [HandParameters(*each) for each in zip(R, poses, betas, t, strict=True)]
 
 
 def _pose_from_flat(

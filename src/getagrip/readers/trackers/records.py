@@ -20,6 +20,7 @@ from numpy import ndarray
 
 from getagrip.errors import InputError, MissingOptionError, UsageError
 from getagrip.io import arrays, files, pickles, plugins
+from getagrip.io.files import shorten_value
 
 if TYPE_CHECKING:
     from getagrip.readers.trackers.tracker import Tracker
@@ -56,9 +57,8 @@ def list_record_files(paths: Sequence[Path], layouts: Sequence[str] = ()) -> lis
         if path.is_dir():
             files_of = _match_layouts(path, layouts) or files.list_files(path, known)
             if not files_of:
-                raise InputError(
-                    path, "", "a folder without such a file", f"files of an estimator ({', '.join(known)})"
-                )
+                expected = f"files of an estimator ({', '.join(known)})"
+                raise InputError(path, "", "a folder without such a file", expected)
         elif path.exists():
             files_of = [path]
         else:  # a shell leaves a pattern as it is where nothing matches
@@ -102,7 +102,7 @@ def read_tracker_record(path: Path) -> Record:
         return _read_torch(path)
     if suffix == ".npy":
         return {"joints": arrays.parse_npy(path, "", files.read_bytes(path, MAX_RECORD_BYTES))}
-    raise InputError(path, "", f"the suffix {files.shorten_value(path.suffix)}", f"one of {', '.join(RECORD_SUFFIXES)}")
+    raise InputError(path, "", f"the suffix {shorten_value(path.suffix)}", f"one of {', '.join(RECORD_SUFFIXES)}")
 
 
 def _check_not_joblib(path: Path) -> None:
@@ -179,7 +179,7 @@ def record_numbers(
     value = arrays.from_lists(record[key])
     expected = " or ".join(str(shape).replace("-1", "any") for shape in shapes)
     if value is None or value.dtype.kind not in "fiub":
-        raise InputError(path, name, files.shorten_value(record[key]), f"numbers of shape {expected}")
+        raise InputError(path, name, shorten_value(record[key]), f"numbers of shape {expected}")
     for shape in shapes:
         if (fitted := _reshape_if_fits(value, shape)) is not None:
             array = arrays.floats(path, {name: fitted}, name, fitted.shape, kinds="fiub")
@@ -205,7 +205,7 @@ def child(path: Path, record: Record, key: str) -> Record:
     """Return a record within a record. Raises ``InputError``."""
     value = record.get(key)
     if not isinstance(value, Mapping):
-        got = "no such key" if key not in record else files.shorten_value(value)
+        got = "no such key" if key not in record else shorten_value(value)
         raise InputError(path, key, got, "a dictionary")
     return value
 
@@ -220,7 +220,7 @@ def seen_joints(path: Path, record: Record, *leading: int) -> Float[ndarray, "*l
         return None
     value = arrays.from_lists(without_none(record["joints_2d"]))
     if value is None or value.dtype.kind not in "fiu" or value.shape not in {(*leading, 21, 2), (*leading, 21, 3)}:
-        given = files.shorten_value(record["joints_2d"]) if value is None else f"the shape {value.shape}"
+        given = shorten_value(record["joints_2d"]) if value is None else f"the shape {value.shape}"
         raise InputError(path, "joints_2d", given, f"numbers of shape {(*leading, 21, 2)}, or 3 with the confidence")
     value = value.astype(float)
     there = np.isfinite(value).all(axis=-1)
@@ -277,7 +277,7 @@ def recognise(paths: Sequence[Path], trackers: Mapping[str, Tracker]) -> tuple[s
         each = ", ".join(f"--from {name} ({words})" for name, words in found.items())
         raise MissingOptionError(f"missing --from: {paths[0]} may be of several programs: {each}")
     keys = sorted(_first_sample(paths).keys) if paths[0].exists() else []
-    got = f"keys {files.shorten_value(', '.join(keys))[1:-1]}" if keys else "names that are of no known program"
+    got = f"keys {shorten_value(', '.join(keys))[1:-1]}" if keys else "names that are of no known program"
     known = "; ".join(f"{name}: {tracker.looks_for}" for name, tracker in trackers.items() if tracker.looks_for)
     raise InputError(paths[0], "", got, f"files of a program that is known, or --from NAME; looked for {known}")
 

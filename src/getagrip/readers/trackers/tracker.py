@@ -12,7 +12,8 @@ from typing import ClassVar
 
 from getagrip.clip.match_frames import check_unique_images, frame_of, number_of, rows_in_order
 from getagrip.errors import InputError, UsageError
-from getagrip.io import arrays, files
+from getagrip.io import arrays
+from getagrip.io.files import printable, shorten_value
 from getagrip.readers.trackers import records
 from getagrip.readers.trackers.estimates import Estimates, Request
 from getagrip.readers.trackers.records import Sample
@@ -62,9 +63,8 @@ def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, i
     alone: dict[str, int] = {}
     for path in paths:
         frame = frame_of(path.stem, request.frames)
-        may_hold_many = path.suffix.lower() in MULTI_IMAGE_SUFFIXES and (
-            len(paths) == 1 or number_of(path.stem) is None
-        )
+        alone_or_unnumbered = len(paths) == 1 or number_of(path.stem) is None
+        may_hold_many = path.suffix.lower() in MULTI_IMAGE_SUFFIXES and alone_or_unnumbered
         record = records.read_tracker_record(path) if frame is not None or may_hold_many else {}
         named = records.records_by_image(record)
         if not named and frame is not None:
@@ -95,8 +95,8 @@ def frames_of_names(path: Path, names: Sequence[str], request: Request) -> list[
 
 def unmatched_names_error(paths: Sequence[Path], example: str, request: Request) -> InputError:
     """Make the error for files of which none is named like a frame."""
-    named = " to ".join(files.printable(frame) for frame in (request.frames[0], request.frames[-1]))
-    got = f"no name of a frame ({files.printable(example)}, ...) in {len(paths)} file{'s' if len(paths) > 1 else ''}"
+    named = " to ".join(printable(frame) for frame in (request.frames[0], request.frames[-1]))
+    got = f"no name of a frame ({printable(example)}, ...) in {len(paths)} file{'s' if len(paths) > 1 else ''}"
     return InputError(paths[0], "", got, f"names like those of the clip's frames, {named}")
 
 
@@ -108,9 +108,8 @@ def frames_of_rows(path: Path, record: records.Record, count: int, request: Requ
     if "frames" in record:
         names = arrays.array_from_names(record["frames"])
         if names is None or len(names) != count:
-            raise InputError(
-                path, "frames", files.shorten_value(record["frames"]), f"{count} names or numbers of frames"
-            )
+            got = shorten_value(record["frames"])
+            raise InputError(path, "frames", got, f"{count} names or numbers of frames")
         request.check_numbers(path, map(str, names))
         return [frame_of(str(name), request.frames) for name in names]
     option = request.ask_first or "--first"

@@ -65,9 +65,8 @@ class V2D(Tracker):
                 continue
             t, scale = each["wrist_trans_in_camera"][n], float(each["scale"][n])
             if not (t[2] > 0 and scale > 0):
-                raise InputError(
-                    path, hand, f"the depth {t[2]:.3g} m and the scale {scale:g} in row {n}", "both above 0"
-                )
+                got = f"the depth {t[2]:.3g} m and the scale {scale:g} in row {n}"
+                raise InputError(path, hand, got, "both above 0")
             R = se3.exp_so3(each["wrist_orient_in_camera"][n])
             fingers = se3.exp_so3(each["finger_pose"][n])
             if request.side == "left":

@@ -172,9 +172,8 @@ def make_epic_clip(
     masked, valid = valid, [number for number in valid if hands is None or hands.has(number)]
     if len(valid) < MIN_VALID_FRAMES:
         what = "a mask" if hands is None or hands.frames is None else "a mask and a hand"
-        note(
-            f"{grasp.name}: {len(valid)} of its {grasp.frames} frames have {what} of {shorten_value(grasp.entity)}: skipped"
-        )
+        of = f"of {shorten_value(grasp.entity)}"
+        note(f"{grasp.name}: {len(valid)} of its {grasp.frames} frames have {what} {of}: skipped")
         return None
     spans = [(s.first, s.last) for s in segments] or [(grasp.start, grasp.end)]
     chosen = sorted({number for span in spans for number in _choose_frames(valid, masked, span)})
@@ -298,14 +297,11 @@ def read_epic_camera(path: Path) -> EpicCamera:
     if not all(isinstance(side, int) and 0 < side < 10_000 for side in size):
         raise InputError(path, "camera", f"the size {shorten_value(size)}", "width and height in pixels")
     if camera.get("model") not in ("OPENCV", "PINHOLE", "FULL_OPENCV") or not isinstance(params, list):
-        raise InputError(
-            path, "camera.model", shorten_value(camera.get("model")), "OPENCV, with fx, fy, cx, cy, ... in params"
-        )
+        expected = "OPENCV, with fx, fy, cx, cy, ... in params"
+        raise InputError(path, "camera.model", shorten_value(camera.get("model")), expected)
     focal = params[:2]
     if not all(isinstance(f, int | float) and 0 < f < 1e6 for f in focal) or len(focal) < 2:
-        raise InputError(
-            path, "camera.params", shorten_value(params), "fx, fy, cx, cy, ... in pixels, fx and fy above 0"
-        )
+        raise InputError(path, "camera.params", shorten_value(params), "fx, fy, cx, cy, ... [px], fx and fy above 0")
     K = np.diag([focal[0] * EPIC_IMAGE_SIZE_PX[0] / size[0], focal[1] * EPIC_IMAGE_SIZE_PX[1] / size[1], 1.0])
     K[:2, 2] = np.array(EPIC_IMAGE_SIZE_PX) / 2
     check_intrinsics(path, K[None], EPIC_IMAGE_SIZE_PX)

@@ -93,9 +93,7 @@ class EpicGrasps(Dataset):
                 raise UsageError("--metric cannot be used without --timelines")
             return [EpicTimeline(grasp, ()) for grasp in self.grasps()]
         if self.cameras is None or self.metric is None:
-            raise UsageError(
-                "missing --cameras or --metric: --timelines needs both, since static segments need a world"
-            )
+            raise UsageError("missing --cameras or --metric: --timelines needs both: static segments need a world")
         found = read_timelines(self.timelines, self.grasps(), note)
         metric = [one for one in found if (self.metric / f"{one.span.video}.json").is_file()]
         if len(metric) < len(found):
@@ -170,9 +168,8 @@ class VideoGrasps:
         mesh, source = epic_clips.category_mesh(grasp.category, self.options.cad)
         hands = None if path is None else epic_clips.read_epic_hand_file(path)
         has_mapping = self.mapping is not None
-        return epic_clips.make_epic_clip(
-            grasp, frames, mesh, source, camera, hands, has_mapping, note, timeline.segments
-        )
+        segments = timeline.segments
+        return epic_clips.make_epic_clip(grasp, frames, mesh, source, camera, hands, has_mapping, note, segments)
 
     def _hands(self, grasp: EpicGrasp) -> Path | None:
         path = None if self.options.hands is None else self.options.hands / f"{grasp.name}.npz"
@@ -232,12 +229,8 @@ def _parse_epic_timeline(
         raise InputError(path, f"{key}.mp4_name", shorten_value(film), "the mp4_name of a grasp in EPIC-Grasps' table")
     for name, value in (("vid", grasp.video), ("cat", grasp.category)):
         if entry.get(name) != value:
-            raise InputError(
-                path,
-                f"{key}.{name}",
-                shorten_value(entry.get(name)),
-                f"{value}, as of {shorten_value(film)} in the table",
-            )
+            expected = f"{value}, as of {shorten_value(film)} in the table"
+            raise InputError(path, f"{key}.{name}", shorten_value(entry.get(name)), expected)
     side = entry.get("main_side")
     if side not in ("left", "right"):
         raise InputError(path, f"{key}.main_side", shorten_value(side), "left or right")

@@ -14,7 +14,7 @@ import tarfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,9 +60,8 @@ class FrameArchive:
         try:
             return dict(self._members())
         except (OSError, tarfile.TarError) as error:
-            raise InputError(
-                self.path, "", f"a file that is damaged or no archive ({error})", EXPECTED_TAR_ARCHIVE
-            ) from error
+            got = f"a damaged file, or not an archive ({error})"
+            raise InputError(self.path, "", got, EXPECTED_TAR_ARCHIVE) from error
 
     def _members(self) -> Iterator[tuple[int, tuple[int, int]]]:
         length = self.path.stat().st_size
@@ -112,9 +111,8 @@ class Frames:
         """Read the images of some frames."""
         if not self.folder.is_dir() and self.archive is not None:
             path, archive = self.archive.path, self.archive
-            return [
-                _decode_epic_image(path, f"frame_{n:010d}.jpg", archive.read(n, MAX_EPIC_IMAGE_BYTES)) for n in numbers
-            ]
+            read = partial(archive.read, limit=MAX_EPIC_IMAGE_BYTES)
+            return [_decode_epic_image(path, f"frame_{n:010d}.jpg", read(n)) for n in numbers]
         paths = [self.folder / f"frame_{n:010d}.jpg" for n in numbers]
         return [_decode_epic_image(path, "", read_bytes(path, MAX_EPIC_IMAGE_BYTES)) for path in paths]
 
@@ -151,9 +149,8 @@ class Video:
         """Decode the images of some frames; frame n is the one shown at (n - 1) / rate seconds."""
         subject = subject_of(self.video)
         folders = (self.root / subject / "videos", self.root / subject, self.root)
-        paths = [
-            path for folder in folders for s in EPIC_VIDEO_SUFFIXES if (path := folder / f"{self.video}{s}").is_file()
-        ]
+        names = [f"{self.video}{suffix}" for suffix in EPIC_VIDEO_SUFFIXES]
+        paths = [path for folder in folders for name in names if (path := folder / name).is_file()]
         if not paths:
             raise InputError(self.root, "", f"no {self.video}.MP4 in it", "the video")
         rate = Fraction(numbering_rate(self.video))
@@ -211,11 +208,8 @@ def read_metric_similarity(path: Path) -> tuple[float, Float[ndarray, "4 4"]]:
     rigid = T.copy()
     rigid[:3, :3] /= scale if scale > 0.0 else 1.0
     off = np.abs(rigid[:3, :3] @ rigid[:3, :3].T - np.eye(3)).max()
-    if (
-        not METRIC_SCALE_RANGE[0] < scale < METRIC_SCALE_RANGE[1]
-        or off > MAX_ROTATION_DEVIATION
-        or not np.allclose(T[3], [0.0, 0.0, 0.0, 1.0])
-    ):
+    is_similarity = off <= MAX_ROTATION_DEVIATION and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0])
+    if not METRIC_SCALE_RANGE[0] < scale < METRIC_SCALE_RANGE[1] or not is_similarity:
         raise InputError(path, "T", f"a scale of {scale:.3g}, {off:.2g} from a rotation", "a similarity [sR | t]")
     U, _, Vt = np.linalg.svd(rigid[:3, :3])
     return scale, se3.rigid(U @ Vt, rigid[:3, 3])
@@ -237,9 +231,8 @@ def read_epic_camera_poses(
             continue
         q_t = arrays.from_lists(value) if isinstance(value, list) else None
         if q_t is None or q_t.shape != (7,) or q_t.dtype.kind not in "fi" or not _is_quaternion_pose(q_t.astype(float)):
-            raise InputError(
-                path, f"images.{printable(name)}", shorten_value(value), "[qw, qx, qy, qz, tx, ty, tz], |q| = 1"
-            )
+            expected = "[qw, qx, qy, qz, tx, ty, tz], |q| = 1"
+            raise InputError(path, f"images.{printable(name)}", shorten_value(value), expected)
         T_cam_world = se3.rigid(se3.from_quaternion(q_t[:4].astype(float)), q_t[4:].astype(float))
         T_world_cam = se3.inverse(T_cam_world)
         T_world_cam[:3, 3] *= scale

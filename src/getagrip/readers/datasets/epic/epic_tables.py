@@ -125,9 +125,7 @@ def read_grasps(path: Path, errata: Path | None = None) -> list[EpicGrasp]:
         for row in _read_epic_table(errata, ("ACTION", "old_fmt", "correct_handside")):
             old = grasps.pop(row.text("old_fmt"), None)
             if old is None:
-                raise InputError(
-                    errata, row.key("old_fmt"), shorten_value(row.text("old_fmt")), f"an fmt of {path.name}"
-                )
+                raise InputError(errata, row.key("old_fmt"), shorten_value(row.text("old_fmt")), f"fmt in {path.name}")
             if row.text("ACTION") == "REMAKE":
                 side = _parse_epic_side(row, row.text("correct_handside"), "correct_handside")
                 grasps[row.text("old_fmt")] = replace(old, side=side, note=f"errata: the {side} hand, not {old.side}")
@@ -348,11 +346,8 @@ def find_candidates(video: str, touching: Sequence[Sequence[Contact]], actions: 
         if before == 0 or after == len(stops):
             continue
         bounds = starts[max(before - N_EXTENT_ACTIONS, 0)], stops[min(after + N_EXTENT_ACTIONS, len(stops)) - 1]
-        named = [
-            a.narration
-            for a in actions
-            if a.start <= bounds[1] and a.stop >= bounds[0] and _action_names_category(a, first)
-        ]
+        within = [a for a in actions if a.start <= bounds[1] and a.stop >= bounds[0]]
+        named = [a.narration for a in within if _action_names_category(a, first)]
         frames = tuple(contact.frame for contact in run)
         found.append(Candidate(video, first.side, first.category, first.entity, frames, *bounds, tuple(named)))
     return sorted(found, key=lambda candidate: candidate.contacts)

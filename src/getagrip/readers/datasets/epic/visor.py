@@ -40,9 +40,7 @@ MAX_ANNOTATION_POINTS = 100_000
 """Most points of the polygons of one annotation."""
 MAX_ANNOTATION_NAME_LENGTH = 200
 FRAME_MAPPING_FILE = "frame_mapping.json"
-NO_FRAME_MAPPING_NOTE = (
-    f"no {FRAME_MAPPING_FILE} beside VISOR's files: its frame numbers are taken for EPIC's, a few frames off"
-)
+NO_FRAME_MAPPING_NOTE = f"no {FRAME_MAPPING_FILE} beside VISOR's files: its frame numbers are a few frames off EPIC's"
 
 
 @dataclass(frozen=True, eq=False)  # two things may be annotated alike, and arrays have no one answer to ==
@@ -109,12 +107,8 @@ def read_mapping(path: Path | None, video: str) -> FrameMapping:
     if path is None:
         return FrameMapping({})
     value = streams.read_json_member(path, video)
-    return FrameMapping(
-        {
-            _image_frame_number(path, video, a): _image_frame_number(path, f"{video}.{printable(a)}", b)
-            for a, b in value.items()
-        }
-    )
+    named = {a: (b, f"{video}.{printable(a)}") for a, b in value.items()}
+    return FrameMapping({_frame_number(path, video, a): _frame_number(path, key, b) for a, (b, key) in named.items()})
 
 
 def find_visor_files(folder: Path) -> dict[str, list[Path]]:
@@ -152,19 +146,19 @@ def read_frames(path: Path) -> Iterator[VisorFrame]:
             raise InputError(path, f"{key}.annotations", shorten_value(annotations), "a list")
         ends = [image.get(f"interpolation_{end}_frame") for end in ("start", "end")] if dense else [None]
         yield VisorFrame(
-            _image_frame_number(path, f"{key}.image.name", image.get("name")),
+            _frame_number(path, f"{key}.image.name", image.get("name")),
             dense,
             tuple(_parse_annotation(path, f"{key}.annotations[{k}]", a, dense) for k, a in enumerate(annotations)),
             None
             if None in ends
             else (
-                _image_frame_number(path, f"{key}.image", ends[0]),
-                _image_frame_number(path, f"{key}.image", ends[1]),
+                _frame_number(path, f"{key}.image", ends[0]),
+                _frame_number(path, f"{key}.image", ends[1]),
             ),
         )
 
 
-def _image_frame_number(path: Path, key: str, name: object) -> int:
+def _frame_number(path: Path, key: str, name: object) -> int:
     """Return the number in the name of an image, as ``P01_01_frame_0000000140.jpg``."""
     named = re.fullmatch(r"(?:[\w.-]*/)*(?:P\d{2}_\d{2,3}_)?frame_(\d{1,10})\.(?:jpg|png)", str(name))
     if not isinstance(name, str) or named is None:
