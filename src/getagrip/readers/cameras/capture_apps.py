@@ -1,7 +1,7 @@
 """Camera-to-world trajectories of capture apps and devices.
 
 - **nerfstudio** (``transforms.json``, also of Polycam, KIRI, Spectacular AI and instant-ngp): ``frames`` with
-  ``file_path`` and ``transform_matrix`` (4, 4); ``fl_x``, ``cx``, ``w`` and so on, of all images or of each. Not metric.
+  ``file_path`` and ``transform_matrix`` (4, 4); ``fl_x``, ``cx``, ``w`` ... of all images or of each. Not metric.
 - **Record3D** (``metadata.json`` of an unpacked recording): ``poses``, a quaternion (x, y, z, w) and a position of each
   image, counted from 0; ``K`` down its columns, ``perFrameIntrinsicCoeffs`` of each image. Metric, y is up.
 - **ARKit** (3D Scanner App): a ``.json`` for each image with ``cameraPoseARFrame`` (16), row by row, and ``intrinsics``

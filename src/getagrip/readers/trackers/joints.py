@@ -1,4 +1,4 @@
-"""Plain joints, over all frames in one file, already before the clip's camera: ``joints`` (T, 21, 3) [m]."""
+"""Plain joints of all frames in one file, before the clip's camera: ``joints`` (T, 21, 3) [m]; SOMA's 25 joints."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SOMA_JOINT_INDICES = [0, 1, 2, 3, 4, *range(6, 10), *range(11, 15), *range(16, 2
 
 @dataclass(frozen=True)
 class Joints(Tracker):
-    """Plain joints. Their order is needed."""
+    """Plain joints. Their order is required."""
 
     name = "joints from a file"
     takes = "21 of them in metres, before the camera"
@@ -46,10 +46,10 @@ class Joints(Tracker):
         return "21 joints in every frame"
 
     order: Annotated[Order | None, one_of(*JOINT_ORDERS, "auto"), arg(help_behavior_hint="")] = None
-    """Their order (docs/hands.md); auto: the one in which they fit a hand."""
+    """Order of the joints (docs/hands.md); auto: the order in which they fit a hand."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the joints in those of the file's frames that the clip has."""
+        """Read the joints in the clip's frames."""
         if self.order is None:
             raise MissingOptionError("missing --order (openpose, ho3d or auto): the order of the joints is in no file")
         path = only_file(paths, "joints")
@@ -69,7 +69,7 @@ class Soma(Tracker):
         return "SOMA's 25 joints" if np.shape(sample.record.get("joints", ()))[-2:] == (25, 3) else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the joints in those of the file's frames that the clip has; the metacarpal ones are not used."""
+        """Read the joints in the clip's frames, without the metacarpal joints."""
         path = only_file(paths, "joints")
         record = records.read_tracker_record(path)
         points = record_numbers(path, record, "joints", (-1, 25, 3))[:, SOMA_JOINT_INDICES]

@@ -29,7 +29,7 @@ from getagrip.readers.trackers.records import Sample, record_numbers
 from getagrip.readers.trackers.tracker import Tracker, frames_of_images, only_file
 
 V2D_CENTRE_TOLERANCE = 0.1
-"""A principal point so near to the middle of the clip's images [ratio] is of images of their size."""
+"""Maximum log ratio between twice the principal point and the size of the clip's images that is ignored."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class V2D(Tracker):
         return "V2D's result" if sample.has("camera_intrinsics", *keys) else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hand of the requested side in those of the video's frames that the clip has and that are valid."""
+        """Read the hand of the requested side in the clip's frames with a valid hand."""
         path = only_file(paths, "hands")
         record, hand = records.read_tracker_record(path), f"hand_{request.side}_"
         N = len(record_numbers(path, record, f"{hand}is_valid", (-1,)))

@@ -1,4 +1,6 @@
-"""DexYCB's files: cameras, the table, packed files; what is broken is named."""
+"""DexYCB's files: the published layout and packed files; malformed files are refused."""
+
+from __future__ import annotations
 
 from itertools import islice
 
