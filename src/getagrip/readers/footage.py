@@ -129,7 +129,6 @@ class ImageFolder:
 
     @property
     def frames(self) -> int:
-        """Number of images."""
         return len(self.paths)
 
     def time(self, index: int) -> float:
@@ -145,7 +144,6 @@ class ImageFolder:
         return int(np.argmin(np.abs(np.array(self.numbers) - number)))
 
     def name(self, index: int) -> str:
-        """Return the image's name without suffix."""
         return self.paths[index].stem
 
     @property
@@ -155,11 +153,9 @@ class ImageFolder:
         return width, height
 
     def jpeg(self, index: int, whole: bool = False) -> bytes:
-        """Return an image as JPEG. Raises ``InputError``."""
         return encode_footage_jpeg(self._bgr(index), MAX_FOOTAGE_SIDE_PX if whole else MAX_DISPLAY_WIDTH_PX)
 
     def image(self, index: int) -> UInt8[ndarray, "H W 3"]:
-        """Return the RGB image of a file. Raises ``InputError``."""
         return np.ascontiguousarray(self._bgr(index)[..., ::-1])
 
     def close(self) -> None:
@@ -213,12 +209,10 @@ class VideoFootage:
 
     @property
     def frames(self) -> int:
-        """Number of frames."""
         return len(self._times)
 
     @cached_property
     def size(self) -> tuple[int, int]:
-        """Width and height as shown [px]. Raises ``InputError``."""
         height, width = self.image(0).shape[:2]
         return width, height
 
@@ -244,20 +238,16 @@ class VideoFootage:
         return min(max(found, 0), self.frames - 1)
 
     def name(self, index: int) -> str:
-        """Return a frame's position from 1, as ``clip new`` names it."""
         return f"{index + 1:06d}"
 
     def jpeg(self, index: int, whole: bool = False) -> bytes:
-        """Return a frame for display, ``whole`` or of a limited width. Raises ``InputError``."""
         if not whole:
             return self.shown.get(index)
         return encode_footage_jpeg(self.image(index)[..., ::-1], MAX_FOOTAGE_SIDE_PX)
 
     def image(self, index: int) -> UInt8[ndarray, "H W 3"]:
-        """Return the RGB image of a frame in full resolution. Raises ``InputError``."""
         return self.whole.get(index)
 
     def close(self) -> None:
-        """Close the file until the next request."""
         self.shown.close()
         self.whole.close()

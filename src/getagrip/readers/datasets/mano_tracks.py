@@ -1,4 +1,4 @@
-"""What several datasets share: hands from MANO's parameters and the user's MANO files, and the YCB models."""
+"""Inputs that several datasets share: hands from MANO's parameters and the user's MANO files, and the YCB models."""
 
 from __future__ import annotations
 

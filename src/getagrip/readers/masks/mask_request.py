@@ -105,7 +105,7 @@ class MaskRequest:
         return size
 
     def resized(self, labels: Integer[ndarray, "h w"] | Bool[ndarray, "h w"], notes: Counter[str]) -> ndarray:
-        """Resize a mask or labels to the images' size, by nearest pixels."""
+        """Return a mask or labels at the images' size, by nearest pixels."""
         (width, height), (h, w) = self.size, labels.shape
         if (w, h) == self.size:
             return labels

@@ -49,7 +49,6 @@ class DynHaMR(Tracker):
         return "Dyn-HaMR's results in the world" if sample.has(*keys) else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hands of the requested side in the clip's frames."""
         path = only_file(paths[-1:], "hands")  # later numbers in names are later iterations of the fit
         record = records.read_tracker_record(path)
         hands, T = np.shape(record["is_right"]) if np.ndim(record.get("is_right", 0)) == 2 else (0, 0)

@@ -56,7 +56,6 @@ class EgoDex(Tracker):
         return "an episode of EgoDex" if sample.path.suffix.lower() in (".hdf5", ".h5") else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the joints in the clip's frames."""
         path = only_file(paths, "joints of an episode")
         joints = read_egodex_joints(path, request.side)
         check_before_camera(path, joints)

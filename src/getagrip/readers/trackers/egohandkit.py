@@ -51,7 +51,6 @@ class EgoHandKit(Tracker):
         return "EgoHandKit's results" if named or sample.has("mano", "cam_trans", "backend_meta") else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hand of the requested side in the clip's frames."""
         path = only_file(paths, "hands")
         if path.suffix.lower() == ".parquet":
             return _read_parquet_joints(path, request)

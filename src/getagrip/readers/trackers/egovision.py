@@ -38,7 +38,6 @@ class EgoVision(Tracker):
         return "ego-vision's result" if sample.has("hands_world", "camera_trajectory", "joints_world") else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the joints of the requested side in the clip's frames."""
         path = only_file(paths, "hands")
         record = records.read_tracker_record(path)
         T_world_cam = record_numbers(path, record, "camera_trajectory", (-1, 4, 4))

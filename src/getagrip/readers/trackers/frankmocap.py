@@ -58,7 +58,6 @@ class FrankMocap(Tracker):
         return "FrankMocap's prediction results" if "pred_output_list" in sample.keys else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hand of the requested side in the clip's frames."""
         mean = read_mean_pose(request.mano, request.side)
         found = []
         for path, frame, record in per_image(paths, request):

@@ -69,7 +69,6 @@ class HaWoR(Tracker):
     """HaWoR's focal length."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hand in the clip's frames."""
         found = list[Estimate]()
         for path in paths:
             if path.parent.name in SIDE_FOLDERS and path.parent.name != SIDE_FOLDERS[request.side == "right"]:

@@ -49,7 +49,6 @@ class Joints(Tracker):
     """Order of the joints (docs/hands.md); auto: the order in which they fit a hand."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the joints in the clip's frames."""
         if self.order is None:
             raise MissingOptionError("missing --order (openpose, ho3d or auto): the order of the joints is in no file")
         path = only_file(paths, "joints")

@@ -51,7 +51,6 @@ class ManoParameters(Tracker):
     """Zero of the poses: the flat hand, or MANO's mean pose."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hand in the clip's frames."""
         if self.pose is None or self.mean is None:
             missing = "--pose" if self.pose is None else "--mean"
             choices = "axis-angle, pca or matrix" if self.pose is None else "flat or mean"

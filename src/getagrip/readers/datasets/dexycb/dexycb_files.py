@@ -184,27 +184,15 @@ def _find_packed_sequences(path: Path) -> list[UnreadSequence]:
         if not _is_clip_name_part(obj):
             raise InputError(path, f"object[{i}]", shorten_value(obj), "the name of an object")
         T_cam_obj = se3.rigid(se3.from_quaternion(np.roll(q[rows], 1, axis=1)), t[rows])
-        poses = ObjectPoses(T_cam_obj, np.ones(len(T_cam_obj), dtype=bool))
-        read = partial(_packed_recording, path, subject, sequence, obj, poses, joints[rows], known[rows])
+        objects = {obj: ObjectPoses(T_cam_obj, np.ones(len(T_cam_obj), dtype=bool))}
+        side, hands = infer_hand_side(joints[rows][known[rows]]), (joints[rows], known[rows])
+        read = partial(DexYcbRecording, path, subject, sequence, "", side, obj, objects, *hands, PACKED_K)
         sequences.append(UnreadSequence(name, read))
     return sequences
 
 
-def _packed_recording(
-    path: Path,
-    subject: str,
-    sequence: str,
-    grasped: str,
-    poses: ObjectPoses,
-    joints: Float[ndarray, "N 21 3"],
-    known: Bool[ndarray, "N"],
-) -> DexYcbRecording:
-    side = infer_hand_side(joints[known])
-    return DexYcbRecording(path, subject, sequence, "", side, grasped, {grasped: poses}, joints, known, PACKED_K)
-
-
 def infer_hand_side(joints: Float[ndarray, "N 21 3"]) -> Side:
-    """Infer the side of a hand: fingers bend towards the palm, which is on opposite sides of left and right hands."""
+    """Find the side of a hand: fingers bend towards the palm, which is on opposite sides of left and right hands."""
     wrist, index, pinky = joints[:, 0], joints[:, 5], joints[:, 17]
     towards = np.cross(index - wrist, pinky - wrist)  # the palm of a right hand, the back of a left one
     bent = (joints[:, [8, 12, 16, 20]] - joints[:, [5, 9, 13, 17]]).sum(axis=1)

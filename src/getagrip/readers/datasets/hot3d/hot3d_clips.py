@@ -11,7 +11,7 @@ object in more frames, with the segments of both hands, by the true poses or fro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
@@ -272,64 +272,49 @@ def _recording_tracks(
 
 def hand_object_tracks(folder: Path, recording: Hot3dRecording, objects: Hot3dObjects, note: Note) -> Iterator[Track]:
     """Yield every hand with every object of a recording that has a mesh, object by object. Raises ``InputError``."""
-    meshes = objects.read(recording, note)
-    covered = recording.camera.pinhole.covered(recording.camera.fisheye)
+    meshes, camera = objects.read(recording, note), recording.camera
+    covered = camera.pinhole.covered(camera.fisheye)
+    subject, _, sequence = recording.name.partition("_")
     for uid, poses in recording.objects.items():  # timelines look at both hands of an object
         for side, hand in recording.hands.items():
-            both = np.flatnonzero(hand.known & poses.known)
-            if uid in meshes and both.size:
-                masks = partial(_render_hot3d_masks, recording, side, uid, meshes, covered)
-                yield _make_hot3d_track(folder, recording, side, uid, objects.names[uid], meshes[uid], both, masks)
-
-
-def _make_hot3d_track(
-    folder: Path,
-    recording: Hot3dRecording,
-    side: Side,
-    uid: str,
-    category: str,
-    mesh: Mesh,
-    frames: Int[ndarray, "T"],
-    masks: Callable[[int], FrameMasks],
-) -> Track:
-
-    hand, camera = recording.hands[side], recording.camera
-    T_cam_world = se3.inverse(camera.T_world_cam[frames])
-    subject, _, sequence = recording.name.partition("_")
-    return Track(
-        file=folder,
-        subject=subject,
-        sequence=sequence,
-        category=category,
-        side=side,
-        fps=round(1e9 / float(np.median(np.diff(recording.times))), 3),
-        numbers=frames,
-        digits=FRAME_NUMBER_DIGITS,
-        size=camera.pinhole.size,
-        K=camera.pinhole.K,
-        hand=HandTrack(
-            vertices=hand.posed.vertices[frames],
-            faces=hand.posed.faces,
-            T_cam_hand=T_cam_world @ hand.T_world_hand[frames],
-            regions=hand.posed.regions,
-            joints=hand.posed.joints[frames],
-        ),
-        T_cam_obj=T_cam_world @ recording.objects[uid].T_world_obj[frames],
-        mesh=mesh,
-        read_masks=masks,
-        world=World(camera.T_world_cam[frames], HOT3D_WORLD_UP),
-        stamps=1e-9 * (recording.times[frames] - recording.times[0]),
-        provenance={
-            "source": f"HOT3D, recording {recording.name}",
-            "object_uid": uid,
-            "hands": "HOT3D's UmeTrack hands (true)",
-            "masks": "rendered from the true poses, hidden by both hands and by the other objects that have a mesh",
-            "camera": f"{camera.device}, {camera.label}: a pinhole of the fisheye lens's focal length and axis",
-            "bop": camera.bop,
-            "scale": "HOT3D's scanned mesh, true size",
-            "times": "poses are the nearest in time to the frame, at most 5 ms off",
-        },
-    )
+            frames = np.flatnonzero(hand.known & poses.known)
+            if uid not in meshes or not frames.size:
+                continue
+            T_cam_world = se3.inverse(camera.T_world_cam[frames])
+            yield Track(
+                file=folder,
+                subject=subject,
+                sequence=sequence,
+                category=objects.names[uid],
+                side=side,
+                fps=round(1e9 / float(np.median(np.diff(recording.times))), 3),
+                numbers=frames,
+                digits=FRAME_NUMBER_DIGITS,
+                size=camera.pinhole.size,
+                K=camera.pinhole.K,
+                hand=HandTrack(
+                    vertices=hand.posed.vertices[frames],
+                    faces=hand.posed.faces,
+                    T_cam_hand=T_cam_world @ hand.T_world_hand[frames],
+                    regions=hand.posed.regions,
+                    joints=hand.posed.joints[frames],
+                ),
+                T_cam_obj=T_cam_world @ poses.T_world_obj[frames],
+                mesh=meshes[uid],
+                read_masks=partial(_render_hot3d_masks, recording, side, uid, meshes, covered),
+                world=World(camera.T_world_cam[frames], HOT3D_WORLD_UP),
+                stamps=1e-9 * (recording.times[frames] - recording.times[0]),
+                provenance={
+                    "source": f"HOT3D, recording {recording.name}",
+                    "object_uid": uid,
+                    "hands": "HOT3D's UmeTrack hands (true)",
+                    "masks": "rendered from the true poses, hidden by both hands and by other objects with a mesh",
+                    "camera": f"{camera.device}, {camera.label}: a pinhole of the fisheye lens's focal length and axis",
+                    "bop": camera.bop,
+                    "scale": "HOT3D's scanned mesh, true size",
+                    "times": "poses are the nearest in time to the frame, at most 5 ms off",
+                },
+            )
 
 
 def _render_hot3d_masks(
