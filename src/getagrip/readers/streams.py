@@ -304,7 +304,7 @@ def _column_to_array(path: Path, name: str, column: Array) -> Float[ndarray, "T 
     if not shape:
         return np.asarray(values)
     if values.size != np.count_nonzero(there) * math.prod(shape):
-        raise InputError(path, name, "lists within lists of which some are missing", "rows of one count")
+        raise InputError(path, name, "nested lists with missing items", "rows of one count")
     out = np.full((len(column), math.prod(shape)), np.nan)
     out[there] = values.reshape(-1, out.shape[1])
     return out

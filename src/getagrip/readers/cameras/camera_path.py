@@ -149,7 +149,7 @@ class CameraPath(ArrayData):
         self, size: tuple[int, int], frames: Sequence[str], times: Float[ndarray, "T"], start: float | None,
         counted: bool = False, images: str = "",
     ) -> Float[ndarray, "T 3 3"]:  # fmt: skip
-        """Return the intrinsics of images of a ``size`` in each frame; arguments and errors are those of ``at``.
+        """Return the intrinsics of images of a ``size`` in each frame, with the arguments and errors of ``at``.
 
         Raises ``InputError`` for intrinsics of images of another shape.
         """

@@ -186,7 +186,7 @@ def clip_of_track(
     angle = 0.0 if track.articulation is None else float(track.articulation.mean())
     mesh = track.object(angle)
     joint = track.joint
-    if joint is not None:  # a mesh file merges vertices: the joint's are those that it keeps apart
+    if joint is not None:  # mesh files merge vertices, so the joint is reduced to the merged ones
         mesh = Mesh(mesh.vertices.round(OBJ_DECIMALS), mesh.faces)
         joint = replace(joint, angle=angle, moves=joint.moves[used_vertices(mesh.vertices, mesh.faces)[0]])
     return Clip(

@@ -64,7 +64,7 @@ class LeRobot(Tracker):
         return "a dataset of LeRobot" if sample.path.suffix.lower() == ".parquet" and not other else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hand in those of the episode's frames that the clip has."""
+        """Read the hand in the clip's frames."""
         path, values, stamps = self._episode(paths)
         info = _read_dataset_info(path)
         frames, matched = _match_rows_to_frames(path, len(values), stamps, info.get("fps"), request)

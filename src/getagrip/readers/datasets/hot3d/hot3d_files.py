@@ -132,7 +132,7 @@ def read_recording(name: str, files: dict[str, Path]) -> Hot3dRecording:
 
     headset = next(iter(_read_poses_csv(need("headset_trajectory.csv")).values()))
     stamps = np.array(sorted(headset))
-    # The cameras of one instant are stamped a little apart: their poses come in pairs, of which one is taken.
+    # The cameras of one instant are stamped a little apart: one of each pair of poses is used.
     times = stamps[np.concatenate([[True], np.diff(stamps) > MAX_TIME_DIFFERENCE_NS])]
     if not 2 <= len(times) <= MAX_SEQUENCE_FRAMES:
         raise InputError(need("headset_trajectory.csv"), "", f"{len(times)} frames", f"2 to {MAX_SEQUENCE_FRAMES}")
