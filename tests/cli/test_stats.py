@@ -192,7 +192,7 @@ def test_empty_lists_have_no_rows(run: Run, tmp_path: Path) -> None:
         ("hand,pan", "hand,piano", "line 4, cat"),
         (",0\n", "\n", "line 2"),
         ("handside", "hand", "handside"),
-        (",0\n", ',"0\n', "no CSV"),
+        (",0\n", ',"0\n', "invalid CSV"),
         ("cup", "\0", "line 2"),
     ],
 )

@@ -15,7 +15,8 @@ import pytest
 
 from getagrip.errors import InputError
 from getagrip.readers.datasets.epic.epic_images import Video as EpicVideo
-from getagrip.readers.footage import ImageCache, ImageFolder, VideoFootage, duration_seconds, encode_footage_jpeg
+from getagrip.readers.footage import ImageFolder, VideoFootage, duration_seconds, encode_footage_jpeg
+from getagrip.readers.video import ImageCache
 from getagrip.studio.store.tasks import open_footage
 from helpers.labelled_scene import BITS, NUMBERED_FRAMES, number_in, picture, write_images, write_video
 

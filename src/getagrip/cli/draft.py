@@ -216,7 +216,7 @@ class Draft(Command):
     def _source(self) -> Path:
         """Return the footage; of a single image, a folder with it twice, since a clip has two frames or more."""
         from getagrip.io import files
-        from getagrip.readers.footage import IMAGE_SUFFIXES
+        from getagrip.readers.video import IMAGE_SUFFIXES
 
         folder = self.video.is_dir()
         names = sorted(path for path in self.video.iterdir() if path.name[0] != ".") if folder else [self.video]

@@ -117,7 +117,7 @@ class Label(Command):
     def _tasks(self) -> tuple[list[Task], int]:
         """Return a task for each video that opens, and how many do not. Raises ``UsageError`` without any video."""
         from getagrip.io import files
-        from getagrip.readers.footage import VIDEO_SUFFIXES
+        from getagrip.readers.video import VIDEO_SUFFIXES
         from getagrip.studio.store.tasks import Task, read_tasks
 
         videos = files.list_files(self.videos, {suffix.lower() for suffix in VIDEO_SUFFIXES})

@@ -11,8 +11,10 @@ from typing import cast
 
 from getagrip.errors import InputError
 from getagrip.io.files import csv_rows, is_portable_name, printable, read_bytes, shorten_value
-from getagrip.readers.datasets.epic.epic_tables import MAX_FRAME_NUMBER, SIDE_BY_HAND_NAME, subject_of
-from getagrip.readers.footage import VIDEO_SUFFIXES, Footage, ImageFolder, VideoFootage
+from getagrip.readers.datasets.epic.epic_tables import MAX_FRAME_NUMBER, subject_of
+from getagrip.readers.datasets.epic.visor import SIDE_BY_HAND_NAME
+from getagrip.readers.footage import Footage, ImageFolder, VideoFootage
+from getagrip.readers.video import VIDEO_SUFFIXES
 
 MAX_TASK_LIST_BYTES = 64 * 2**20
 """Maximum size of a list of candidates [bytes]."""

@@ -1,4 +1,6 @@
-"""DexYCB: what becomes a clip, its masks, its hand; what is left out."""
+"""DexYCB's clips and timelines: grasps, masks, the fitted hand, the table, and skipped data."""
+
+from __future__ import annotations
 
 from pathlib import Path
 
@@ -14,14 +16,11 @@ from getagrip.geometry.rasterize import depth_and_face
 from getagrip.hands import generic
 from getagrip.hands.model import mirrored
 from getagrip.readers.datasets.cutting import clip_of_piece as clip_of
-from getagrip.readers.datasets.dexycb.dexycb_clips import DexYcb, fit_recording_hand
-from getagrip.readers.datasets.dexycb.dexycb_files import (
-    PACKED_K,
-    DexYcbRecording,
-    ObjectPoses,
-    find_dexycb_sequences,
-)
+from getagrip.readers.datasets.dataset import clips
+from getagrip.readers.datasets.dexycb.dexycb_clips import DexYcb, fit_recording_hand, support_plane, world_of_plane
+from getagrip.readers.datasets.dexycb.dexycb_files import PACKED_K, DexYcbRecording, ObjectPoses, find_dexycb_sequences
 from getagrip.readers.datasets.tracks import subject_from_clip_name
+from helpers.clips import box
 from helpers.dexycb_files import (
     FRAMES,
     HELD,
@@ -37,6 +36,7 @@ from helpers.dexycb_files import (
     packed,
     read,
     scene,
+    write_extrinsics,
     write_sequence,
 )
 from helpers.environment import DATA, needs
@@ -218,3 +218,55 @@ def test_real_sequences():
         true = recordings[n].joints[[int(f) for f in clip.frames]]
         fitted = se3.transform(clip.hand.T_cam_hand, clip.hand.joints)
         assert np.median(np.linalg.norm(fitted - true, axis=-1)) < 0.003
+
+
+@pytest.mark.slow
+def test_a_sequence_becomes_a_timeline(root):
+    """Whole, with masks: the ball is held from frame ``TAKEN`` on; before, it moves with no hand near it."""
+    table = write_extrinsics(root, np.eye(4), se3.rigid(None, np.array([0.0, 0.0, 1.0])))
+    ((clip, masks),) = clips(DexYcb(root=root, timelines=True))
+    assert clip.frames == tuple(f"{n:06d}" for n in range(FRAMES) if n != LOST)
+    assert [(s.state, s.first, s.last, s.side) for s in clip.segments] == [
+        ("free", 0, TAKEN - 1, None), ("grasp", TAKEN, len(clip) - 1, "right"),
+    ]  # fmt: skip
+    assert (clip.world.support, masks.object.any()) == (0.0, True)
+    table.unlink()
+    ((clip, _),) = clips(DexYcb(root=root, timelines=True))
+    assert clip.world.up is None  # nothing else says where the table is
+    with pytest.raises(UsageError, match="--timelines"):
+        list(clips(DexYcb(root=root, timelines=True, whole=True)))
+
+
+@pytest.mark.slow
+@needs(DATA / "dexycb" / "left_hand_sequences.npz")
+def test_real_objects_lie_on_a_table_that_the_others_show():
+    dataset = DexYcb(root=DATA / "dexycb", meshes=DATA / "ycb", timelines=True)
+    (draft,) = dataset.parts(lambda _: None)[20].drafts(lambda name, with_hands=False: True, lambda _: None)
+    clip, _ = draft.make()
+    states = [segment.state for segment in clip.segments]
+    assert (states[0], "grasp" in states) == ("static", True)
+    in_world = clip.world.T_world_cam @ clip.truth.T_cam_obj
+    lowest = se3.transform(in_world, clip.mesh.vertices[None])[..., 2].min(axis=1)
+    assert np.abs(lowest[clip.segments[0].rows]).max() < 0.01
+    assert lowest[-1] > 0.05
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_plane_is_found_though_one_object_lies_on_another(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    tilt = se3.exp_so3(rng.uniform(-0.2, 0.2, 3)) @ se3.exp_so3(np.array([np.radians(90.0 + 35.0), 0.0, 0.0]))
+    up = tilt[:, 2]
+    resting = []
+    for n in range(9):
+        size = rng.uniform(0.03, 0.2, 3)
+        place = [*rng.uniform(-0.2, 0.2, 2), size[2] / 2 + (0.12 if n == 4 else 0.0)]
+        on_table = box(*size).vertices @ se3.exp_so3(np.array([0.0, 0.0, rng.uniform(0.0, 6.0)])).T + place
+        resting.append(on_table @ tilt.T + [0.0, 0.0, 0.8])
+    normal, height = support_plane(resting)
+    assert np.degrees(np.arccos(np.clip(normal @ up, -1.0, 1.0))) < 0.5
+    assert height == pytest.approx(0.8 * up[2], abs=0.002)
+    T_world_cam = world_of_plane(normal, height)
+    assert se3.is_rigid(T_world_cam)
+    lowest = [float(se3.transform(T_world_cam, points)[:, 2].min()) for points in resting]
+    np.testing.assert_allclose(np.delete(lowest, 4), 0.0, atol=0.003)
+    assert lowest[4] == pytest.approx(0.12, abs=0.003)

@@ -1,4 +1,6 @@
-"""DexYCB's files: cameras, the table, packed files; what is broken is named."""
+"""DexYCB's files: the published layout and packed files; malformed files are refused."""
+
+from __future__ import annotations
 
 from itertools import islice
 
@@ -64,7 +66,7 @@ def test_the_table_is_the_world_where_extrinsics_are_there(root):
     T_table_cam = sequence.read().T_table_cam
     np.testing.assert_allclose(T_master_tag @ T_table_cam, T_master_cam, atol=1e-12)
     write_extrinsics(root, 1.1 * T_master_cam, T_master_tag)
-    with pytest.raises(InputError, match=rf"extrinsics.{SERIALS[0]} must be .*got a matrix that is no rigid"):
+    with pytest.raises(InputError, match=rf"extrinsics.{SERIALS[0]} must be .*got a matrix that is not a rigid"):
         sequence.read()
     path.write_text("extrinsics: {}")
     with pytest.raises(InputError, match="must be 12 numbers"):
@@ -164,7 +166,7 @@ def test_broken_packed_files_are_named(pack, key, value, named):
 
 
 def test_sequences_of_absurd_lengths_are_refused(pack, monkeypatch):
-    monkeypatch.setattr(files, "MAX_DEXYCB_FRAMES", FRAMES - 1)
+    monkeypatch.setattr(files, "MAX_SEQUENCE_FRAMES", FRAMES - 1)
     with pytest.raises(InputError, match=f"offset must be .*got a sequence of {FRAMES} frames"):
         find_dexycb_sequences(pack[0])
 

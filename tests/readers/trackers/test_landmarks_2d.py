@@ -1,4 +1,4 @@
-"""2D landmarks give the hand that they are of, whatever file they come in, and stay with it."""
+"""2D landmarks give the hand that they are of, from files of every kind."""
 
 from __future__ import annotations
 

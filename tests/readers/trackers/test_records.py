@@ -1,4 +1,4 @@
-"""Files of every source, forged as its writer makes them: told without --from, read as the hand that they are of."""
+"""Files of every tracker, written as by the tracker: recognised without --from, and read as the hand they are of."""
 
 from __future__ import annotations
 
