@@ -71,7 +71,7 @@ def test_help_loads_no_reader() -> None:
         "from getagrip.cli import main\n"
         "try: main(['--help'])\n"
         "except SystemExit: pass\n"
-        "loaded = {'numpy', 'getagrip.datasets', 'getagrip.hands'} & set(sys.modules)\n"
+        "loaded = {'numpy', 'getagrip.readers.datasets', 'getagrip.hands'} & set(sys.modules)\n"
         "sys.exit(','.join(loaded) or 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -81,7 +81,7 @@ def test_help_loads_no_reader() -> None:
 @pytest.mark.slow
 def test_the_table_loads_no_compiler() -> None:
     """Or else ``getagrip import --help`` would wait for numba."""
-    code = "import sys, getagrip.commands.datasets\nsys.exit('numba' in sys.modules)"
+    code = "import sys, getagrip.cli.datasets\nsys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -37,7 +37,7 @@ def test_a_result_that_another_run_made_meanwhile_is_kept(tmp_path: Path, monkey
     assert outcome.state == "kept"
     assert outcome.findings == (DOUBT,)
     other = replace(job, options=Options(method="static", seed=1))
-    assert existing_outcome(other, input_sha256(folder)) == (None, "what was there is of another seed")
+    assert existing_outcome(other, input_sha256(folder)) == (None, "the earlier result is of another seed")
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ def test_where_a_process_ends_at_once_another_says_what_is_left(tmp_path: Path) 
     (line,) = done.stderr.splitlines()
     assert line.startswith("getagrip: Ray's cluster has died")
     assert "2 of 5 clips are done, 1 failed, 2 are left" in line
-    assert line.endswith("this goes on: getagrip reconstruct 'my clips' --engine ray")
+    assert line.endswith("this continues: getagrip reconstruct 'my clips' --engine ray")
 
 
 @pytest.mark.slow

@@ -37,7 +37,7 @@ def test_a_killed_parent_leaves_no_process_behind(tmp_path: Path) -> None:
     file = tmp_path / "ticks"
     code = (
         "from getagrip.batch.executor import run_in_processes; from helpers.jobs import tick;"
-        f"list(in_processes(tick, [{str(file)!r}], 1))"
+        f"list(run_in_processes(tick, [{str(file)!r}], 1))"
     )
     parent = subprocess.Popen([sys.executable, "-c", code], env=import_path(), stderr=subprocess.DEVNULL)
     try:

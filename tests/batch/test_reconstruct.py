@@ -79,12 +79,12 @@ def test_what_is_done_is_done_again_only_where_something_differs_and_that_is_sai
 
     (out / "b" / "result.npz").write_bytes(b"PK")
     said = run(*call)[1]
-    assert "b: done again, since what was there is damaged (" in said
+    assert "b: done again, since the earlier result is damaged (" in said
     monkeypatch.setattr(plugins, "fingerprint", lambda: "0123456789abcdef")
-    assert run(*call)[1].count("done again, since what was there is of other code") == 3
+    assert run(*call)[1].count("done again, since the earlier result is of other code") == 3
     mesh = clips / "a" / "object.obj"
     mesh.write_text(mesh.read_text() + "# edited\n")
-    assert "a: done again, since what was there is of another clip" in run(*call)[1]
+    assert "a: done again, since the earlier result is of another clip" in run(*call)[1]
     assert fitted[3:] == ["b", "a", "b", LONG, "a"]
 
 
@@ -126,7 +126,7 @@ def test_the_summary_has_a_row_for_each_clip_and_the_index_shows_the_worst(
         path.unlink()
     (out / "a").rmdir()
     assert run("reconstruct", clips / "b", clips / "torn", "--out", out)[0] == 1
-    assert rows(out)["a"]["why"] == "its result is not there any more"
+    assert rows(out)["a"]["why"] == "its result has been removed"
 
 
 def test_of_clips_that_share_a_name_only_these_fail(clips: Path, tmp_path: Path, run: Run, fitted: list[str]) -> None:

@@ -95,7 +95,7 @@ def test_clips_and_results_in_a_store(store: str, tmp_path: Path, run: Run, fitt
     assert "0 done, 2 already done, 0 failed" in run(*call)[1]
     assert "0 done, 1 already done, 0 failed" not in run(*call, "--shard", "1/2")[1]
     assert fitted == ["a", "b"]
-    assert "a: done again, since what was there is of another seed" in run(*call, "--seed", 1)[1]
+    assert "a: done again, since the earlier result is of another seed" in run(*call, "--seed", 1)[1]
 
 
 @pytest.mark.parametrize("clips_there", [True, False])
@@ -161,7 +161,7 @@ def test_a_damaged_result_is_made_again(store: str, tmp_path: Path, run: Run, fi
     call = ("reconstruct", f"{clips}/a", "--out", f"{store}/out")
     run(*call)
     (RemotePath(f"{store}/out/a") / "result.npz").remove()
-    assert "a: done again, since what was there is damaged (" in run(*call)[1]
+    assert "a: done again, since the earlier result is damaged (" in run(*call)[1]
 
 
 def test_what_is_no_clip_is_named_and_the_others_are_done(

@@ -300,12 +300,12 @@ def test_what_is_done_again_is_said(can_and_box: Path, tmp_path: Path, run: Run,
         (folder / damage).write_bytes(content[: len(content) // 2])
         status, said, err = run(*call)
         assert (status, err) == (0, "")
-        assert "1 done, 0 already done; 1 done again, since what was there is damaged (" in said
+        assert "1 done, 0 already done; 1 done again, since the earlier result is damaged (" in said
         assert read_result(folder)[1]["metrics"]
     edited(code="0123456789abcdef")
-    assert "1 done again, since what was there is of other code\n" in run(*call)[1]
+    assert "1 done again, since the earlier result is of other code\n" in run(*call)[1]
     edited(getagrip="0.0.1")
-    assert "1 done again, since what was there is of version '0.0.1'\n" in run(*call)[1]
+    assert "1 done again, since the earlier result is of version '0.0.1'\n" in run(*call)[1]
     assert len(made) == 5
     edited(evaluation="0123456789abcdef")
     assert "1 done, 0 already done\n" in run(*call)[1]

@@ -69,7 +69,7 @@ def test_what_other_code_has_found_or_is_damaged_is_found_again_and_why_is_said(
     path.write_bytes(path.read_bytes()[:100])
     again = run_trial(trial)
     assert (again.failure, again.by["forwards", "fits"].found) == ("", 0)
-    assert again.again.startswith("what was there is damaged (")
+    assert again.again.startswith("the earlier result is damaged (")
     assert run_trial(trial).again == ""
     same = plugins.fingerprint()
 
@@ -77,7 +77,7 @@ def test_what_other_code_has_found_or_is_damaged_is_found_again_and_why_is_said(
         return "0123456789abcdef" if "segmentation" in also else same
 
     monkeypatch.setattr(plugins, "fingerprint", of_other_segmentation)
-    assert run_trial(trial).again == "what was there is of other code or other libraries"
+    assert run_trial(trial).again == "the earlier result is of other code or other libraries"
 
 
 def test_a_sequence_that_cannot_be_read_is_a_failure(trial: SequenceTrial) -> None:

@@ -1,6 +1,6 @@
-"""How a call shares its tasks out, over whom, within which limits, by which ledger; and how it treats its clips.
+"""Options that several commands share: executor, limits, shard and ledger of the tasks, and the treatment of clips.
 
-These are options of several commands; what runs is loaded when it does.
+Executors are imported when they start.
 """
 
 from __future__ import annotations
@@ -25,18 +25,17 @@ if TYPE_CHECKING:
     from getagrip.batch.ledger import Ledger
 
     AnyStart = Start[Any, Any]
-    """The start of an executor of any tasks."""
 
 J = TypeVar("J", bound="NamedTask")
 R = TypeVar("R")
 
 MAX_IN_PROCESS_TASKS = 3
-"""Up to this number of tasks are done in this process: others take longer to start."""
+"""Maximum number of tasks that run in this process: other processes would take longer to start."""
 
 
 @dataclass(frozen=True)
 class Shard:
-    """One of several equal parts of all clips, by their names: which one a clip is in depends on nothing else."""
+    """One of several equal parts of all clips; a clip's name alone decides which."""
 
     index: int = 1
     """1 to ``count``."""
@@ -55,12 +54,11 @@ class Shard:
 
 
 WHOLE_SHARD = Shard()
-"""Every clip."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SchedulingOptions:
-    """Who does the tasks of a call: clips, or what one process reads of a dataset.
+    """Executor, limits, shard and ledger of a call's tasks: clips or parts of a dataset.
 
     Raises ``UsageError`` for fewer than one worker.
     """
@@ -71,9 +69,7 @@ class SchedulingOptions:
     engine: Literal["local", "ray", "slurm"] = "local"
     """Executor of the jobs: this machine, a Ray cluster, or Slurm's array jobs. All machines must see inputs and
     outputs under the same paths."""
-    address: Annotated[str | None, arg(metavar="ADDR", help_behavior_hint="(default: RAY_ADDRESS, else one here)")] = (
-        None
-    )
+    address: Annotated[str | None, arg(metavar="ADDR", help_behavior_hint="(default: RAY_ADDRESS, or local)")] = None
     """Address of a running Ray cluster: HOST:PORT, or auto."""
     limits: Annotated[Limits, arg(name="")] = field(default_factory=Limits)
     fail_fast: Flag = False
@@ -90,7 +86,7 @@ class SchedulingOptions:
             raise UsageError(f"--workers must be 1 or more (got {self.workers})")
 
     def executor(self, count: int, few: int = MAX_IN_PROCESS_TASKS) -> AnyStart | None:
-        """Choose the executor of ``count`` tasks; None: this process, by default for a ``few`` without limits."""
+        """Choose the executor of ``count`` tasks; None: this process, the default for up to ``few`` without limits."""
         from getagrip.batch.executor import available_cores
 
         workers, local = self.workers, self.engine == "local"
@@ -110,10 +106,10 @@ class SchedulingOptions:
         few: int = MAX_IN_PROCESS_TASKS,
         stages: bool = False,
     ) -> Generator[R, None, None]:
-        """Yield the outcome of each of ``count`` tasks, as they end, counted by a ``BatchProgress``.
+        """Yield the outcome of each of ``count`` tasks as they end, counted by a ``BatchProgress``.
 
-        ``called`` is what tasks are, in the plural. With ``stages``, work in this process also takes a function to call
-        with its progress, which a bar shows. Raises ``UsageError`` as ``executor`` does, else as ``Engine.run``.
+        ``called`` is the tasks' plural name. With ``stages``, ``engine.work`` takes a second argument, a ``Progress``,
+        which a bar shows in this process. Raises the errors of ``executor`` and ``Engine.run``.
         """
         from getagrip.batch.clusters import report_on_death
         from getagrip.batch.engine import BatchProgress, run_with_stage_bar
@@ -132,9 +128,9 @@ class SchedulingOptions:
 
 
 Executors = Annotated[SchedulingOptions, arg(name="executor", help="Where the work is done, and within which limits.")]
-"""The options of who does the tasks, under a heading of their own in ``--help``."""
+"""Scheduling options under a heading of their own in ``--help``."""
 DEFAULT_SCHEDULING = SchedulingOptions()
-"""All tasks, on this machine, any time and memory."""
+"""All tasks on this machine, without limits."""
 
 
 @dataclass(frozen=True)
@@ -190,4 +186,4 @@ def _refuse_address(address: str | None) -> None:
 ENGINES: dict[str, Callable[[int | None, str | None], AnyStart]] = {
     "local": _local_executor, "ray": _ray_executor, "slurm": _slurm_executor,
 }  # fmt: skip
-"""By name: from the number of workers and the cluster's address, each None if not said, to the start of an executor."""
+"""Executors by name: each makes a ``Start`` from the number of workers and the cluster's address (None: default)."""
