@@ -8,7 +8,7 @@ import pytest
 
 from getagrip.batch.clips import _Tally, expected_right_message
 from getagrip.batch.job import Outcome
-from getagrip.batch.summary import KeepOptions
+from getagrip.batch.scheduling import KeepOptions
 from getagrip.clip import input_sha256, write_clip
 from getagrip.result import read_result, write_result
 from getagrip.result.findings import ASSUMED_MESH, Probability

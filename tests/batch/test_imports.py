@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 
 from getagrip.batch.import_dataset import ImportJob, import_clips, import_part
-from getagrip.batch.job import Limits
 from getagrip.batch.ledger import LEDGER_FILE, Ledger
-from getagrip.batch.scheduling import SchedulingOptions, Shard
+from getagrip.batch.scheduling import Limits, SchedulingOptions, Shard
 from getagrip.cli.datasets import DATASETS
 from getagrip.errors import InputError
 from getagrip.io import files

@@ -16,8 +16,7 @@ from getagrip.batch import clusters
 from getagrip.batch.clusters import SlurmExecutor
 from getagrip.batch.executor import run_on_executor
 from getagrip.batch.import_dataset import import_clips
-from getagrip.batch.job import NO_LIMITS, Limits
-from getagrip.batch.scheduling import SchedulingOptions
+from getagrip.batch.scheduling import NO_LIMITS, Limits, SchedulingOptions
 from getagrip.clip import write_clip
 from getagrip.errors import GetagripError
 from getagrip.io import plugins

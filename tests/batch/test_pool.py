@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from getagrip.batch.executor import FinishedJob, Processes, run_in_processes, run_on_executor
-from getagrip.batch.job import NO_LIMITS, Limits
+from getagrip.batch.scheduling import NO_LIMITS, Limits
 from getagrip.errors import UsageError
 from helpers.environment import import_path
 from helpers.jobs import dies_once, greedy, patient, slow_start, work

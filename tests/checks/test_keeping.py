@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from benchmarks.kept import HEADER, calibrated, lines, of_part
 from benchmarks.kept_rows import END, REAL, SYNTHETIC, Row, read
 from benchmarks.probability import stored, write
-from getagrip.batch.summary import MAX_KEEP_SHARE, MIN_KEEP_SHARE, KeepOptions
+from getagrip.batch.scheduling import MAX_KEEP_SHARE, MIN_KEEP_SHARE, KeepOptions
 from getagrip.checks.calibration import (
     CALIBRATION_FILE,
     CALIBRATIONS,

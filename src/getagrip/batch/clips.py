@@ -36,8 +36,7 @@ from getagrip.io.storage import ARCHIVE_SUFFIX, Place, RemotePath, parse_place
 from getagrip.io.terminal import print_note, print_result
 
 if TYPE_CHECKING:
-    from getagrip.batch.scheduling import BatchOptions
-    from getagrip.batch.summary import KeepOptions
+    from getagrip.batch.scheduling import BatchOptions, KeepOptions
     from getagrip.fitting.options import Options
 
 RESERVED_NAMES = ("index.html", "summary.csv", "ledger.sqlite", "ledger.sqlite-wal", "ledger.sqlite-shm", "clips")

@@ -29,8 +29,8 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 from uuid import uuid4
 
 from getagrip.batch.executor import FinishedJob, Processes, Submitted, available_cores, check_code, run_on_executor
-from getagrip.batch.job import Limits
 from getagrip.batch.ledger import open_existing_ledger
+from getagrip.batch.scheduling import Limits
 from getagrip.errors import GetagripError, UsageError
 from getagrip.io import plugins, processes
 from getagrip.io.terminal import print_note, state_folder

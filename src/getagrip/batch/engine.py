@@ -17,8 +17,8 @@ from itertools import count
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from getagrip.batch.executor import FinishedJob, Start, run_in_sequence, run_on_executor
-from getagrip.batch.job import NO_LIMITS, Limits
 from getagrip.batch.ledger import Ledger, LedgerEntry
+from getagrip.batch.scheduling import NO_LIMITS, Limits
 from getagrip.io import files, plugins
 from getagrip.io.terminal import NullOutput, print_note, show_stage
 

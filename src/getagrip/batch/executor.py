@@ -18,8 +18,7 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, Protocol, TypeVar
 
-from getagrip.batch.job import NO_LIMITS, Limits
-from getagrip.batch.scheduling import MAX_IN_PROCESS_TASKS
+from getagrip.batch.scheduling import MAX_IN_PROCESS_TASKS, NO_LIMITS, Limits
 from getagrip.errors import GetagripError
 from getagrip.io import plugins, processes
 

@@ -6,7 +6,6 @@ folder without it is no result, so an interrupted copy never counts as done.
 
 from __future__ import annotations
 
-import sys
 import tempfile
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -14,13 +13,11 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-from tyro.conf import arg
+from typing import TYPE_CHECKING, Literal
 
 from getagrip.batch.freshness import software_of_method, valid_result
 from getagrip.clip import input_sha256, read_clip, read_name
-from getagrip.errors import GetagripError, InputError, UsageError, escape_unprintable
+from getagrip.errors import GetagripError, InputError, escape_unprintable
 from getagrip.io import files, plugins
 from getagrip.io.source_checksum import locate_error
 from getagrip.io.storage import ARCHIVE_SUFFIX, Place, RemotePath
@@ -32,8 +29,6 @@ if TYPE_CHECKING:
     from getagrip.batch.engine import NamedTask
     from getagrip.fitting.options import Options
 
-MAX_JOB_LIMIT = 1e6
-"""Maximum seconds and GB: clocks and the Linux kernel overflow at some thousand times this."""
 UNREAD_CLIP_FILES = ("frames", "truth.npz")
 """Files of a clip that no reconstruction reads (``clip.input_sha256``)."""
 RESULT_RECORD_FILE, RESULT_POSES_FILE = "result.json", "result.npz"
@@ -41,50 +36,6 @@ RESULT_RECORD_FILE, RESULT_POSES_FILE = "result.json", "result.npz"
 
 Progress = Callable[[str, float], None]
 """Called with the name of the stage and its completed fraction, 0 to 1."""
-NO_DEFAULT = "(default: none)"
-
-
-@dataclass(frozen=True)
-class Limits:
-    """The limits of each job. Raises ``UsageError`` for invalid numbers, and on systems that cannot limit memory."""
-
-    seconds: Annotated[float | None, arg(name="limit-seconds", metavar="S", help_behavior_hint=NO_DEFAULT)] = None
-    """Time limit of a clip (in bench, with all its methods) or of a part of a dataset [s]."""
-    gigabytes: Annotated[float | None, arg(name="limit-gb", metavar="GB", help_behavior_hint=NO_DEFAULT)] = None
-    """Memory limit of each process [10^9 bytes] (Linux only)."""
-
-    def __post_init__(self) -> None:
-        for option, value in (("--limit-seconds", self.seconds), ("--limit-gb", self.gigabytes)):
-            if value is not None and not (0.0 < value <= MAX_JOB_LIMIT):
-                raise UsageError(f"{option} must be above 0 and at most {MAX_JOB_LIMIT:g} (got {value:g})")
-        if self.gigabytes is not None and sys.platform != "linux":
-            why = "only Linux limits the memory of a process"
-            raise UsageError(f"--limit-gb cannot be used with {sys.platform}: {why}")
-
-    def __bool__(self) -> bool:
-        return self.seconds is not None or self.gigabytes is not None
-
-    @property
-    def too_long(self) -> str:
-        """Message for a job that exceeded its time."""
-        return f"it took longer than {self.seconds:g} s (--limit-seconds)"
-
-    @property
-    def suspicion(self) -> str:
-        """Probable cause of a process's death."""
-        return "out of memory?" if self.gigabytes is None else f"out of memory, {self.gigabytes:g} GB (--limit-gb)?"
-
-    def enforce(self) -> None:
-        """Limit the memory of this process, which must do nothing but these jobs."""
-        if self.gigabytes is not None:
-            import resource
-
-            most = resource.getrlimit(resource.RLIMIT_DATA)[1]
-            wanted = int(self.gigabytes * 1e9)
-            resource.setrlimit(resource.RLIMIT_DATA, (wanted if most < 0 else min(wanted, most), most))
-
-
-NO_LIMITS = Limits()
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,12 @@
-"""Options that several commands share: executor, limits, shard and ledger of the tasks, and the treatment of clips.
+"""Options that several commands share: executor, limits, shard and ledger of tasks, and the treatment of clips.
 
-Executors are imported when they start.
+This module is loaded for ``--help``: executors are imported when they start.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable
+import sys
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -14,8 +15,6 @@ from zlib import crc32
 
 from tyro.conf import arg
 
-from getagrip.batch.job import Limits
-from getagrip.batch.summary import KeepOptions
 from getagrip.errors import UsageError
 from getagrip.io.options import Flag, OptionalFolder, parsed_argument
 
@@ -23,14 +22,68 @@ if TYPE_CHECKING:
     from getagrip.batch.engine import Engine, NamedTask
     from getagrip.batch.executor import Start
     from getagrip.batch.ledger import Ledger
+    from getagrip.fitting.options import Options
+    from getagrip.report.pages import IndexRow
+    from getagrip.result import Reconstruction
+    from getagrip.result.findings import Probability
 
     AnyStart = Start[Any, Any]
 
 J = TypeVar("J", bound="NamedTask")
 R = TypeVar("R")
 
+MAX_JOB_LIMIT = 1e6
+"""Maximum seconds and GB: clocks and the Linux kernel overflow at some thousand times this."""
+MIN_KEEP_SHARE, MAX_KEEP_SHARE = 0.5, 0.98
+"""Calibrated range of the share of right results (``checks.calibration``)."""
+MAX_NAMED_RESULTS = 20
+"""Maximum number of results named in a line; the summary lists all."""
 MAX_IN_PROCESS_TASKS = 3
 """Maximum number of tasks that run in this process: other processes would take longer to start."""
+NO_DEFAULT = "(default: none)"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The limits of each job. Raises ``UsageError`` for invalid numbers, and on systems that cannot limit memory."""
+
+    seconds: Annotated[float | None, arg(name="limit-seconds", metavar="S", help_behavior_hint=NO_DEFAULT)] = None
+    """Time limit of a clip (in bench, with all its methods) or of a part of a dataset [s]."""
+    gigabytes: Annotated[float | None, arg(name="limit-gb", metavar="GB", help_behavior_hint=NO_DEFAULT)] = None
+    """Memory limit of each process [10^9 bytes] (Linux only)."""
+
+    def __post_init__(self) -> None:
+        for option, value in (("--limit-seconds", self.seconds), ("--limit-gb", self.gigabytes)):
+            if value is not None and not (0.0 < value <= MAX_JOB_LIMIT):
+                raise UsageError(f"{option} must be above 0 and at most {MAX_JOB_LIMIT:g} (got {value:g})")
+        if self.gigabytes is not None and sys.platform != "linux":
+            why = "only Linux limits the memory of a process"
+            raise UsageError(f"--limit-gb cannot be used with {sys.platform}: {why}")
+
+    def __bool__(self) -> bool:
+        return self.seconds is not None or self.gigabytes is not None
+
+    @property
+    def too_long(self) -> str:
+        """Message for a job that exceeded its time."""
+        return f"it took longer than {self.seconds:g} s (--limit-seconds)"
+
+    @property
+    def suspicion(self) -> str:
+        """Probable cause of a process's death."""
+        return "out of memory?" if self.gigabytes is None else f"out of memory, {self.gigabytes:g} GB (--limit-gb)?"
+
+    def enforce(self) -> None:
+        """Limit the memory of this process, which must do nothing but these jobs."""
+        if self.gigabytes is not None:
+            import resource
+
+            most = resource.getrlimit(resource.RLIMIT_DATA)[1]
+            wanted = int(self.gigabytes * 1e9)
+            resource.setrlimit(resource.RLIMIT_DATA, (wanted if most < 0 else min(wanted, most), most))
+
+
+NO_LIMITS = Limits()
 
 
 @dataclass(frozen=True)
@@ -131,6 +184,57 @@ Executors = Annotated[SchedulingOptions, arg(name="executor", help="Where the wo
 """Scheduling options under a heading of their own in ``--help``."""
 DEFAULT_SCHEDULING = SchedulingOptions()
 """All tasks on this machine, without limits."""
+
+
+@dataclass(frozen=True)
+class KeepOptions:
+    """Selection of results that are probably right. Raises ``UsageError`` for a share out of range."""
+
+    keep: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="(default: no result is marked)")] = None
+    """Mark each result as kept or dropped, such that at least this share of the kept ones (0.5 to 0.98) is right.
+    Nothing is deleted. Calibrated with simulated and with real errors of hands."""
+    keep_in: Literal["hand", "camera"] = "hand"
+    """Frame in which kept results must be right."""
+
+    def __post_init__(self) -> None:
+        if self.keep is not None and not MIN_KEEP_SHARE <= self.keep <= MAX_KEEP_SHARE:
+            raise UsageError(f"--keep must be {MIN_KEEP_SHARE:g} to {MAX_KEEP_SHARE:g} (got {self.keep:g})")
+
+    def check(self, options: Options) -> None:
+        """Raise ``UsageError`` where results of these options have no probability: all would be dropped."""
+        if self.keep is not None:
+            from getagrip.fitting.stages.confidence import uncalibrated_reason
+
+            if why := uncalibrated_reason(options, ()):
+                raise UsageError(f"--keep needs the probability that results are right, and {why}")
+
+    def verdict(self, in_hand: Probability | None, in_camera: Probability | None) -> str:
+        """Return "kept" or "dropped"; empty without ``keep``. Results without a probability are dropped."""
+        return self.mark(*(None if right is None else right.keep for right in (in_hand, in_camera)))
+
+    def mark(self, in_hand: float | None, in_camera: float | None) -> str:
+        """Return the verdict from ``Probability.keep`` in the hand and in the camera."""
+        if self.keep is None:
+            return ""
+        share = in_hand if self.keep_in == "hand" else in_camera
+        return "kept" if share is not None and share >= self.keep else "dropped"
+
+    def marked(self, row: IndexRow, result: Reconstruction) -> IndexRow:
+        """Return a row of the index, flagged where its result is dropped."""
+        dropped = self.verdict(result.probability_right, result.probability_right_in_camera) == "dropped"
+        return replace(row, flags=(*row.flags, "dropped")) if dropped else row
+
+    def summary(self, verdicts: Mapping[str, str]) -> str:
+        """Summarise the verdicts of results by name, in a line."""
+        dropped = sorted(name for name, verdict in verdicts.items() if verdict == "dropped")
+        kept = len(verdicts) - len(dropped)
+        more = f" and {len(dropped) - MAX_NAMED_RESULTS} more" if len(dropped) > MAX_NAMED_RESULTS else ""
+        named = f"; dropped: {', '.join(dropped[:MAX_NAMED_RESULTS])}{more}" if dropped else ""
+        share = f"{kept} of {len(verdicts)} ({100.0 * kept / max(len(verdicts), 1):.0f} %) are kept"
+        return f"{share}: at least {100.0 * (self.keep or 0.0):.3g} % of such are right in the {self.keep_in}{named}"
+
+
+NO_KEEP_FILTER = KeepOptions()
 
 
 @dataclass(frozen=True)

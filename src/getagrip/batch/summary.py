@@ -5,17 +5,16 @@ from __future__ import annotations
 import heapq
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-from tyro.conf import arg
+from typing import TYPE_CHECKING
 
 from getagrip import __version__
 from getagrip.batch.job import Outcome, local_results
 from getagrip.batch.ledger import Entries, LedgerEntry
-from getagrip.errors import InputError, UsageError, escape_unprintable, replace_surrogates
+from getagrip.batch.scheduling import NO_KEEP_FILTER, KeepOptions
+from getagrip.errors import InputError, escape_unprintable, replace_surrogates
 from getagrip.io import files
 from getagrip.io.storage import Place, RemotePath
 from getagrip.io.terminal import CsvTable
@@ -23,65 +22,8 @@ from getagrip.result import is_result, read_result, read_result_record
 from getagrip.result.findings import Probability, read_findings, read_probability
 
 if TYPE_CHECKING:
-    from getagrip.fitting.options import Options
     from getagrip.report.pages import IndexRow
-    from getagrip.result import Reconstruction
 
-MIN_KEEP_SHARE, MAX_KEEP_SHARE = 0.5, 0.98
-"""Calibrated range of the share of right results (``checks.calibration``)."""
-MAX_NAMED_RESULTS = 20
-"""Maximum number of results named in a line; the summary lists all."""
-
-
-@dataclass(frozen=True)
-class KeepOptions:
-    """Selection of results that are probably right. Raises ``UsageError`` for a share out of range."""
-
-    keep: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="(default: no result is marked)")] = None
-    """Mark each result as kept or dropped, such that at least this share of the kept ones (0.5 to 0.98) is right.
-    Nothing is deleted. Calibrated with simulated and with real errors of hands."""
-    keep_in: Literal["hand", "camera"] = "hand"
-    """Frame in which kept results must be right."""
-
-    def __post_init__(self) -> None:
-        if self.keep is not None and not MIN_KEEP_SHARE <= self.keep <= MAX_KEEP_SHARE:
-            raise UsageError(f"--keep must be {MIN_KEEP_SHARE:g} to {MAX_KEEP_SHARE:g} (got {self.keep:g})")
-
-    def check(self, options: Options) -> None:
-        """Raise ``UsageError`` where results of these options have no probability: all would be dropped."""
-        if self.keep is not None:
-            from getagrip.fitting.stages.confidence import uncalibrated_reason
-
-            if why := uncalibrated_reason(options, ()):
-                raise UsageError(f"--keep needs the probability that results are right, and {why}")
-
-    def verdict(self, in_hand: Probability | None, in_camera: Probability | None) -> str:
-        """Return "kept" or "dropped"; empty without ``keep``. Results without a probability are dropped."""
-        return self.mark(*(None if right is None else right.keep for right in (in_hand, in_camera)))
-
-    def mark(self, in_hand: float | None, in_camera: float | None) -> str:
-        """Return the verdict from ``Probability.keep`` in the hand and in the camera."""
-        if self.keep is None:
-            return ""
-        share = in_hand if self.keep_in == "hand" else in_camera
-        return "kept" if share is not None and share >= self.keep else "dropped"
-
-    def marked(self, row: IndexRow, result: Reconstruction) -> IndexRow:
-        """Return a row of the index, flagged where its result is dropped."""
-        dropped = self.verdict(result.probability_right, result.probability_right_in_camera) == "dropped"
-        return replace(row, flags=(*row.flags, "dropped")) if dropped else row
-
-    def summary(self, verdicts: Mapping[str, str]) -> str:
-        """Summarise the verdicts of results by name, in a line."""
-        dropped = sorted(name for name, verdict in verdicts.items() if verdict == "dropped")
-        kept = len(verdicts) - len(dropped)
-        more = f" and {len(dropped) - MAX_NAMED_RESULTS} more" if len(dropped) > MAX_NAMED_RESULTS else ""
-        named = f"; dropped: {', '.join(dropped[:MAX_NAMED_RESULTS])}{more}" if dropped else ""
-        share = f"{kept} of {len(verdicts)} ({100.0 * kept / max(len(verdicts), 1):.0f} %) are kept"
-        return f"{share}: at least {100.0 * (self.keep or 0.0):.3g} % of such are right in the {self.keep_in}{named}"
-
-
-NO_KEEP_FILTER = KeepOptions()
 
 SUMMARY_FILE, INDEX_FILE = "summary.csv", "index.html"
 PROBABILITY_KEYS = ("probability_right", "probability_right_in_camera")

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
 
-from getagrip.batch.summary import KeepOptions
+from getagrip.batch.scheduling import KeepOptions
 from getagrip.bench.inputs.perturbations import (
     UNCHANGED,
     Change,

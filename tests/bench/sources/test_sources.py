@@ -9,8 +9,7 @@ from typing import ClassVar
 import pytest
 
 from getagrip.batch import engine
-from getagrip.batch.job import Limits
-from getagrip.batch.scheduling import SchedulingOptions, Shard
+from getagrip.batch.scheduling import Limits, SchedulingOptions, Shard
 from getagrip.bench.sources import read_clip_names, sample_clips
 from getagrip.bench.sources.recorded import DexYcb, RecordedSource
 from getagrip.bench.sources.source import ClipFolder
