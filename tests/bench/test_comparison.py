@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 
 from getagrip.bench.ablations import ABLATIONS, ablation_variants, method_variants
-from getagrip.bench.comparison import compare_variants, error_columns, independent_groups, mean_columns
-from getagrip.bench.grasp_job import GraspClipScores, GraspVariantScore
+from getagrip.bench.comparison import (
+    GraspClipScores,
+    GraspVariantScore,
+    compare_variants,
+    error_columns,
+    independent_groups,
+    mean_columns,
+)
 from getagrip.bench.tables import (
     CATEGORIES_TITLE,
     DIFFERENCES_TITLE,

@@ -11,7 +11,7 @@ import numpy as np
 
 from fuzz.child import Read
 from fuzz.reader import SHARED, Reader
-from getagrip.bench.job import HandSource, WithHands
+from getagrip.bench.inputs.hand_sources import HandSource, WithHands
 from getagrip.cli.import_hands import HandFile
 from getagrip.clip import Clip, Masks, Segment, input_sha256, read_clip, read_masks, write_clip
 from getagrip.clip import read as read_module
