@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -240,7 +241,7 @@ def test_hands_are_compared_on_the_frames_that_all_have(can_and_box: Path, tmp_p
 @pytest.mark.slow
 def test_contact_is_measured_within_any_distance(can_and_box: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
     """Of results that are there, by evaluating them again; wider contact has more points in it."""
-    from getagrip import reconstruct as module
+    module = importlib.import_module("getagrip.reconstruct")
 
     out = tmp_path / "out"
     call = ("bench", can_and_box, "--out", out, "--workers", "1", "--methods", "static", "--clips", "1", "--inits", "4")
@@ -275,7 +276,7 @@ def test_results_of_other_options_are_made_again(can_and_box: Path, tmp_path: Pa
 @pytest.mark.slow
 def test_what_is_done_again_is_said(can_and_box: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
     """Results of other code and damaged ones; those that other code has measured are only measured again."""
-    from getagrip import reconstruct as module
+    module = importlib.import_module("getagrip.reconstruct")
 
     exact, made = module.reconstruct, list[str]()
 
@@ -321,7 +322,7 @@ def test_what_fails_is_named_and_the_rest_done(can_and_box: Path, tmp_path: Path
         write_clip(clip, grasps.read_masks(clip), folder / name)
     for mask in (folder / "can" / "masks" / "object").iterdir():
         mask.write_bytes(b"")
-    from getagrip import reconstruct as module
+    module = importlib.import_module("getagrip.reconstruct")
 
     exact = module.reconstruct
 
