@@ -1,4 +1,4 @@
-"""Benchmarks as they run: tables, interruptions, ledgers, other systems, hands of several estimators, failures."""
+"""``getagrip bench`` on clips of grasps: tables, results that are kept, hands and other systems."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``getagrip import``: its subcommands are the table of datasets, and what happens to clips is the same for all."""
+"""``getagrip import``: its subcommands are the table of datasets; all treat clips alike."""
 
 from __future__ import annotations
 
