@@ -9,7 +9,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections import Counter
 from functools import partial
 from importlib.util import find_spec
@@ -29,7 +28,7 @@ from getagrip.io.plugins import install_command
 from helpers.clusters import RayCluster, ray_cluster, write_slurm
 from helpers.environment import Library, Run, Shelf, import_path
 from helpers.folders import results_in
-from helpers.jobs import dies_once, drive, loses_its_task, patient
+from helpers.jobs import dies_once, drive, loses_its_task, patient, start_driver, wait_for_tasks
 from helpers.scenes import SHORT, from_table, scene
 
 COUNT = 18
@@ -37,23 +36,7 @@ needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray: pip 
 
 
 def start(out: Path, address: str) -> subprocess.Popen[str]:
-    """A driver as a process, which prints what has become of the tasks."""
-    code = (
-        "from functools import partial; from pathlib import Path\n"
-        "from getagrip.batch.clusters import RayExecutor; from helpers.jobs import drive\n"
-        f"executor = partial(RayExecutor, None, {address!r})\n"
-        f"print(*drive(Path({str(out)!r}), {COUNT}, 0.4, 1, executor), sep='\\n')"
-    )
-    words = [sys.executable, "-c", code]
-    return subprocess.Popen(words, env=import_path(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def wait_for(out: Path, count: int) -> None:
-    """Wait until so many tasks are done."""
-    end = time.monotonic() + 120.0
-    while len(list(out.glob("task-??"))) < count:
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    return start_driver(out, COUNT, 0.4, 1, f"partial(RayExecutor, None, {address!r})")
 
 
 @needs_ray
@@ -70,9 +53,9 @@ def test_whoever_is_killed_each_task_is_done_once_and_results_are_those_of_one_m
 
 def _a_node_and_then_the_driver_are_killed(cluster: RayCluster, tmp_path: Path) -> None:
     driver = start(tmp_path, cluster.address)
-    wait_for(tmp_path, 6)
+    wait_for_tasks(tmp_path, 6)
     cluster.kill_node()
-    wait_for(tmp_path, 12)
+    wait_for_tasks(tmp_path, 12)
     driver.send_signal(signal.SIGKILL)
     driver.communicate()
     before = {path.name for path in tmp_path.glob("task-??")}

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from getagrip.bench.ablations import Variant
-from getagrip.bench.comparison import CONFIDENCE_LEVEL, ComparisonTable, GraspClipScores, MeanEstimate
+from getagrip.bench.comparison import CONFIDENCE_LEVEL, ComparisonRow, ComparisonTable, GraspClipScores, MeanEstimate
 from getagrip.errors import InputError
 from getagrip.io.terminal import format_count, make_table, markdown_table
 from getagrip.readers.datasets.epic.epic_tables import EpicGrasp, numbering_rate, subject_of
@@ -66,6 +66,11 @@ MEDIANS_TITLE = (
 FINDINGS_TITLE = "Results with serious findings, the right ones among them, and the checks"
 CATEGORIES_TITLE = "Each category"
 """Titles of folded parts of a page."""
+ROW_COUNTS = (
+    "medians", "ambiguous", "wrong", "wrong_ambiguous", "serious", "flagged", "flagged_right", "noted", "seconds",
+    "failed",
+)  # fmt: skip
+"""Fields of a row in JSON, besides its estimates."""
 FAILED_CELL = "failed"
 """Cell of a method that failed on every clip."""
 
@@ -255,31 +260,7 @@ def comparison_json(tables: Sequence[ComparisonTable], scores: Sequence[GraspCli
     return {
         "level": CONFIDENCE_LEVEL,
         "tables": [
-            {
-                "table": table.title,
-                "clips": table.clips,
-                "rows": [
-                    {
-                        "row": row.variant.label,
-                        "method": row.variant.method,
-                        "contact": row.variant.contact.key,
-                        "medians": row.medians,
-                        "ambiguous": row.ambiguous,
-                        "wrong": row.wrong,
-                        "wrong_ambiguous": row.wrong_ambiguous,
-                        "serious": row.serious,
-                        "flagged": row.flagged,
-                        "flagged_right": row.flagged_right,
-                        "noted": row.noted,
-                        "seconds": row.seconds,
-                        "failed": row.failed,
-                        "values": {key: vars(value) for key, value in row.values.items()},
-                        "against": row.variant.against if row.differences else None,
-                        "differences": {key: vars(value) for key, value in row.differences.items()},
-                    }
-                    for row in table.rows
-                ],
-            }
+            {"table": table.title, "clips": table.clips, "rows": [_row_json(row) for row in table.rows]}
             for table in tables
         ],
         "clips": [
@@ -293,6 +274,16 @@ def comparison_json(tables: Sequence[ComparisonTable], scores: Sequence[GraspCli
             for clip in scores
         ],
     }
+
+
+def _row_json(row: ComparisonRow) -> dict[str, object]:
+    about = {"row": row.variant.label, "method": row.variant.method, "contact": row.variant.contact.key}
+    estimates = {
+        "values": {key: vars(value) for key, value in row.values.items()},
+        "against": row.variant.against if row.differences else None,
+        "differences": {key: vars(value) for key, value in row.differences.items()},
+    }
+    return {**about, **{key: getattr(row, key) for key in ROW_COUNTS}, **estimates}
 
 
 @dataclass(frozen=True)
