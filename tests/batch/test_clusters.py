@@ -121,7 +121,7 @@ def test_an_address_that_does_not_answer_is_named(clip_folder: Path, tmp_path: P
     call = ("reconstruct", clip_folder, "--out", tmp_path / "out", "--engine", "ray", "--address", address)
     status, _, err = run(*call)
     assert status == 2
-    assert err.startswith("getagrip: --address must be the address of a Ray cluster")
+    assert err.startswith("getagrip: --address must be the address of a running Ray cluster")
     assert err.count("\n") == 1
 
 
