@@ -17,7 +17,7 @@ from benchmarks.kept_rows import END, REAL, SYNTHETIC, Row, read
 from benchmarks.probability import Results, judged, stored, thresholds, write
 from benchmarks.reliability import auroc, auroc_interval, bins, calibration_error, fit_weights, least_error
 from benchmarks.signed_results import ALWAYS
-from getagrip.batch.summary import MAX_KEEP_SHARE, MIN_KEEP_SHARE, KeepOptions
+from getagrip.batch.scheduling import MAX_KEEP_SHARE, MIN_KEEP_SHARE, KeepOptions
 from getagrip.bench.comparison import bootstrap_resamples
 from getagrip.checks.calibration import (
     CALIBRATION_FILE,

@@ -11,8 +11,7 @@ from numpy import ndarray
 
 from getagrip.batch.clips import _Tally
 from getagrip.batch.job import Outcome
-from getagrip.batch.scheduling import BatchOptions
-from getagrip.batch.summary import KeepOptions
+from getagrip.batch.scheduling import BatchOptions, KeepOptions
 from getagrip.checks import RESULT_CHECKS, Evidence, run_checks
 from getagrip.checks.results import MIN_REGRASP_FRAMES, describe_largest_step, object_steps, regrasp_jump
 from getagrip.clip import Clip, Masks

@@ -139,7 +139,7 @@ def test_a_clip_goes_all_the_way(run: Run, can_and_box: Path, tmp_path: Path) ->
     here = {path.name: read_result(path)[0].T_hand_obj for path in results_in(out)}
     status, printed, _ = run("reconstruct", can_and_box / "can", "--out", out, *QUICK, "--seed", 3)
     assert status == 0
-    assert "done again, since what was there is of another seed: IOU" in printed
+    assert "done again, since the earlier result is of another seed: IOU" in printed
     in_a_process = ("--overwrite", "--limit-seconds", 600)
     assert run("reconstruct", can_and_box / "can", "--out", out, *QUICK, *in_a_process)[0] == 0
     for name, T_hand_obj in here.items():

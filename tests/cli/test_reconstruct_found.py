@@ -81,14 +81,14 @@ def test_what_was_found_is_found_again_only_where_something_differs_and_that_is_
     assert searched == ["a"]
     assert reconstructed == [[made]] * 3
     changes: list[tuple[str, Callable[[], object], list[object]]] = [
-        ("what was there is of other options", lambda: None, ["--inits", 6]),
-        ("what was there is of other options", lambda: None, []),
-        ("what was there has been changed", lambda: _rewrite(made / "clip.json"), []),
-        ("what was there is damaged", (made / "hand.npz").unlink, []),
-        ("what was there is damaged", lambda: record.write_text("[]"), []),
-        ("what was there is damaged", lambda: _rewrite(record, clips=3), []),
-        ("what was there is of other code", lambda: _rewrite(record, code="0"), []),
-        ("what was there is of another clip", lambda: _rewrite(clips / "a" / "clip.json"), []),
+        ("the earlier result is of other options", lambda: None, ["--inits", 6]),
+        ("the earlier result is of other options", lambda: None, []),
+        ("the earlier result has been changed", lambda: _rewrite(made / "clip.json"), []),
+        ("the earlier result is damaged", (made / "hand.npz").unlink, []),
+        ("the earlier result is damaged", lambda: record.write_text("[]"), []),
+        ("the earlier result is damaged", lambda: _rewrite(record, clips=3), []),
+        ("the earlier result is of other code", lambda: _rewrite(record, code="0"), []),
+        ("the earlier result is of another clip", lambda: _rewrite(clips / "a" / "clip.json"), []),
     ]
     for why, change, options in changes:
         change()

@@ -13,7 +13,7 @@ import trimesh
 
 from fuzz.child import SHARED, Read, Reader
 from getagrip.batch.ledger import Ledger, LedgerEntry
-from getagrip.bench.job import HandSource, WithHands
+from getagrip.bench.inputs.hand_sources import HandSource, WithHands
 from getagrip.cli import new_clip
 from getagrip.cli.import_hands import HandFile
 from getagrip.clip import Clip, Joint, Masks, Segment, find_masks, input_sha256, read_clip, read_masks, write_clip

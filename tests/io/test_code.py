@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 
-from getagrip.bench import grasp_job, segments, timelines
+from getagrip.bench import grasps, segments, timelines
 from getagrip.io import plugins
 from helpers.environment import ROOT
 
@@ -31,8 +31,8 @@ def test_parts_that_are_left_out_are_those_above_the_fit() -> None:
 def test_what_is_made_otherwise_has_a_fingerprint_of_more_files() -> None:
     """Of changed clips, other systems, segments and timelines: of files that are there, and each of them counts."""
     parts = (
-        *grasp_job.CHANGES_CODE,
-        *grasp_job.EXTERNAL_SYSTEMS_CODE,
+        *grasps.CHANGES_CODE,
+        *grasps.EXTERNAL_SYSTEMS_CODE,
         *segments.SEGMENT_CODE,
         *timelines.TIMELINE_CODE,
     )

@@ -53,7 +53,7 @@ def test_nothing_of_the_current_folder_is_run(sent: Path, tmp_path: Path, what: 
 @pytest.mark.skipif(find_spec("submitit") is None, reason="needs submitit: pip install -e '.[slurm]'")
 def test_nor_does_a_task_of_slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from getagrip.batch.clusters import SlurmExecutor
-    from getagrip.batch.job import NO_LIMITS
+    from getagrip.batch.scheduling import NO_LIMITS
 
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     monkeypatch.setattr("shutil.which", lambda name: name)

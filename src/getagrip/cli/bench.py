@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar, Union
 from tyro.conf import arg, subcommand
 
 from getagrip.batch.scheduling import Executors, SchedulingOptions
-from getagrip.bench.ablations import ComparisonOptions
+from getagrip.bench.options import ComparisonOptions
 from getagrip.bench.sources.ho3d_sequences import Ho3dEval
 from getagrip.bench.sources.recorded import DexYcb, DexYcbSequences, DexYcbTimelines, Hot3dTimelines, TimelineSource
 from getagrip.bench.sources.source import ClipFolder, ClipSource
@@ -22,7 +22,7 @@ from getagrip.fitting.options import Options, SearchOptions
 from getagrip.io.options import Flag, Folder, OptionalFile
 
 if TYPE_CHECKING:
-    from getagrip.bench.grasp_benchmark import GraspBenchmark
+    from getagrip.bench.grasps import GraspBenchmark
     from getagrip.bench.job import Benchmark
     from getagrip.bench.segments import SegmentBenchmark
     from getagrip.bench.timelines import TimelineBenchmark
@@ -115,7 +115,7 @@ class BenchGrasps(Bench[C], Generic[C]):
     compared: Annotated[ComparisonOptions, arg(name="")] = field(default_factory=ComparisonOptions)
 
     def benchmark(self) -> GraspBenchmark:
-        from getagrip.bench.grasp_benchmark import GraspBenchmark
+        from getagrip.bench.grasps import GraspBenchmark
 
         return GraspBenchmark(self.source, self.options, self.compared)
 

@@ -95,9 +95,9 @@ class Reconstruct(Command):
         from contextlib import closing
 
         from getagrip.batch.clips import print_outcome
-        from getagrip.batch.detect_job import DetectedClip, detect_clip_segments, detection_entry, failure_of
+        from getagrip.batch.detect_job import DetectedClip, detect_clip_segments, detection_entry
         from getagrip.batch.engine import Engine
-        from getagrip.batch.job import preload_solver
+        from getagrip.batch.job import lost_outcome, preload_solver
         from getagrip.batch.ledger import Ledger
         from getagrip.io import files
         from getagrip.io.terminal import print_note, print_result
@@ -109,7 +109,7 @@ class Reconstruct(Command):
         files.remove_stale_folders(files.folder_inside(out, CUT_CLIPS_FOLDER))
         engine = Engine(
             work=detect_clip_segments,
-            lost=failure_of,
+            lost=lost_outcome,
             entry=detection_entry,
             options=[asdict(jobs[0].options), jobs[0].alone],
             prepare=preload_solver,

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from tyro.conf import Positional, arg
 
-from getagrip.batch.summary import KeepOptions
+from getagrip.batch.scheduling import KeepOptions
 from getagrip.cli.command import ClipsFolder, Command, Workers
 from getagrip.cli.evaluate import is_batch_file, missing_result_error
 from getagrip.errors import InputError, UsageError, escape_unprintable

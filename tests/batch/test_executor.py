@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from getagrip.batch.executor import FinishedJob, Processes, run_in_processes, run_on_executor
-from getagrip.batch.job import NO_LIMITS, Limits
+from getagrip.batch.scheduling import NO_LIMITS, Limits
 from getagrip.errors import UsageError
 from helpers.environment import import_path
 from helpers.jobs import dies_once, greedy, patient, slow_start, work
@@ -37,7 +37,7 @@ def test_a_killed_parent_leaves_no_process_behind(tmp_path: Path) -> None:
     file = tmp_path / "ticks"
     code = (
         "from getagrip.batch.executor import run_in_processes; from helpers.jobs import tick;"
-        f"list(in_processes(tick, [{str(file)!r}], 1))"
+        f"list(run_in_processes(tick, [{str(file)!r}], 1))"
     )
     parent = subprocess.Popen([sys.executable, "-c", code], env=import_path(), stderr=subprocess.DEVNULL)
     try:

@@ -1,8 +1,9 @@
-"""Benchmarks as they run: tables, interruptions, ledgers, other systems, hands of several estimators, failures."""
+"""``getagrip bench`` on clips of grasps: tables, results that are kept, hands and other systems."""
 
 from __future__ import annotations
 
 import csv
+import importlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -12,9 +13,9 @@ import numpy as np
 import pytest
 
 from getagrip.batch.ledger import Ledger
-from getagrip.bench import grasp_job
-from getagrip.bench.grasp_job import GraspClipScores
-from getagrip.bench.job import HandSource
+from getagrip.bench import grasps
+from getagrip.bench.comparison import GraspClipScores
+from getagrip.bench.inputs.hand_sources import HandSource
 from getagrip.clip import Clip, read_clip, write_clip
 from getagrip.clip.write import write_hand
 from getagrip.errors import GetagripError
@@ -46,7 +47,7 @@ def test_a_run_writes_tables_and_goes_on_where_it_stopped(
     assert status == 0
     assert text.count("1 done, 1 already done") == 2
     with monkeypatch.context() as patch:  # all is there: nothing is reconstructed, no mask is read
-        patch.setattr(grasp_job, "read_masks", lambda _: pytest.fail("masks were read"))
+        patch.setattr(grasps, "read_masks", lambda _: pytest.fail("masks were read"))
         status, text, _ = run(*call, "--methods", "one-dof", "static", "--keep", "0.9")
     assert text.count("0 done, 2 already done") == 2
     assert text.count("of 2 kept for 90 % right in the hand") == 2
@@ -72,11 +73,11 @@ def test_a_run_has_a_ledger_shards_and_an_end_at_the_first_failure(
 ) -> None:
     tried: list[str] = []
 
-    def unreadable(trial: grasp_job.GraspTrial) -> GraspClipScores:
+    def unreadable(trial: grasps.GraspTrial) -> GraspClipScores:
         tried.append(trial.name)
         raise GetagripError("no masks")
 
-    monkeypatch.setattr(grasp_job.GraspTrial, "scores", unreadable)
+    monkeypatch.setattr(grasps.GraspTrial, "scores", unreadable)
     call = ("bench", can_and_box, "--out", tmp_path, "--workers", "1")
     assert run(*call, "--fail-fast")[0] == 1
     assert tried == ["box-right-0000"]
@@ -222,7 +223,7 @@ def test_hands_are_compared_on_the_frames_that_all_have(can_and_box: Path, tmp_p
     assert run(*call, "--hands", *sources)[1].count("2 done, 0 already done") == 1
     assert read_result(out / "results" / "static+hands-exact" / clip.name)[0].frames == clip.frames[1:3]
     # Clips are hands, too; what does not fit is named.
-    write_clip(replace(clip, hand=clip.hand), grasp_job.read_masks(clip), tmp_path / "clips" / clip.name)
+    write_clip(replace(clip, hand=clip.hand), grasps.read_masks(clip), tmp_path / "clips" / clip.name)
     assert HandSource.of(f"c={tmp_path / 'clips'}").read(clip).track == clip.hand
     for bad, words in (
         ({"frames": [1]}, "1 of the 4 frames"), ({"frames": [1, 2], "side": np.array("left")}, "got 'left'"),
@@ -240,7 +241,7 @@ def test_hands_are_compared_on_the_frames_that_all_have(can_and_box: Path, tmp_p
 @pytest.mark.slow
 def test_contact_is_measured_within_any_distance(can_and_box: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
     """Of results that are there, by evaluating them again; wider contact has more points in it."""
-    from getagrip import reconstruct as module
+    module = importlib.import_module("getagrip.reconstruct")
 
     out = tmp_path / "out"
     call = ("bench", can_and_box, "--out", out, "--workers", "1", "--methods", "static", "--clips", "1", "--inits", "4")
@@ -275,7 +276,7 @@ def test_results_of_other_options_are_made_again(can_and_box: Path, tmp_path: Pa
 @pytest.mark.slow
 def test_what_is_done_again_is_said(can_and_box: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
     """Results of other code and damaged ones; those that other code has measured are only measured again."""
-    from getagrip import reconstruct as module
+    module = importlib.import_module("getagrip.reconstruct")
 
     exact, made = module.reconstruct, list[str]()
 
@@ -300,12 +301,12 @@ def test_what_is_done_again_is_said(can_and_box: Path, tmp_path: Path, run: Run,
         (folder / damage).write_bytes(content[: len(content) // 2])
         status, said, err = run(*call)
         assert (status, err) == (0, "")
-        assert "1 done, 0 already done; 1 done again, since what was there is damaged (" in said
+        assert "1 done, 0 already done; 1 done again, since the earlier result is damaged (" in said
         assert read_result(folder)[1]["metrics"]
     edited(code="0123456789abcdef")
-    assert "1 done again, since what was there is of other code\n" in run(*call)[1]
+    assert "1 done again, since the earlier result is of other code\n" in run(*call)[1]
     edited(getagrip="0.0.1")
-    assert "1 done again, since what was there is of version '0.0.1'\n" in run(*call)[1]
+    assert "1 done again, since the earlier result is of version '0.0.1'\n" in run(*call)[1]
     assert len(made) == 5
     edited(evaluation="0123456789abcdef")
     assert "1 done, 0 already done\n" in run(*call)[1]
@@ -318,10 +319,10 @@ def test_what_fails_is_named_and_the_rest_done(can_and_box: Path, tmp_path: Path
     folder = tmp_path / "clips"
     for name in ("can", "box"):
         clip = read_clip(can_and_box / name)
-        write_clip(clip, grasp_job.read_masks(clip), folder / name)
+        write_clip(clip, grasps.read_masks(clip), folder / name)
     for mask in (folder / "can" / "masks" / "object").iterdir():
         mask.write_bytes(b"")
-    from getagrip import reconstruct as module
+    module = importlib.import_module("getagrip.reconstruct")
 
     exact = module.reconstruct
 

@@ -1,4 +1,4 @@
-"""Scores of timelines: the truth is right everywhere, and every way answers every frame."""
+"""Scores of timelines: the truth is right everywhere, and every variant answers every frame."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def test_the_truth_is_right_and_does_not_jump() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", TIMELINE_VARIANTS)
-def test_every_way_answers_every_frame(way: str) -> None:
+@pytest.mark.parametrize("variant", TIMELINE_VARIANTS)
+def test_every_variant_answers_every_frame(variant: str) -> None:
     clip, masks = timeline()
     assert clip.world is not None
-    motion = reconstruct_variant(way, replace(clip, truth=None), masks, Options(inits=4))
+    motion = reconstruct_variant(variant, replace(clip, truth=None), masks, Options(inits=4))
     assert se3.is_rigid(motion.T_cam_obj).all()
     assert len(motion.kind) == len(clip)
     lying = clip.segments[0].rows

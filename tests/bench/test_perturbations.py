@@ -1,4 +1,4 @@
-"""What is done to clips before they are reconstructed."""
+"""Changes of clips before they are reconstructed: sizes, hands, faults of masks."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from getagrip.bench.inputs.perturbations import (
+    MASK_FAULTS,
     UNCHANGED,
     EstimatedHands,
     Noisy,
@@ -15,6 +16,10 @@ from getagrip.bench.inputs.perturbations import (
     ScaleFree,
     ScaleKnown,
     TrueHands,
+    WrongMasks,
+    displace_mask,
+    extend_mask_by_disc,
+    halve_mask,
 )
 from getagrip.errors import InputError
 from getagrip.geometry import se3
@@ -86,3 +91,27 @@ def test_an_object_of_another_size_stays_in_the_hand(seed: int) -> None:
     assert seen.object.sum() > masks.object.sum() if factor > 1.0 else seen.object.sum() < masks.object.sum()
     with pytest.raises(InputError, match="no ground truth"):
         OtherSize()(replace(clip, truth=None), masks, seed)
+
+
+def test_what_each_fault_does() -> None:
+    mask, towards = np.zeros((60, 80), dtype=bool), np.array([1.0, 0.0])
+    mask[20:40, 30:50] = True
+    assert not (displace_mask(mask, towards) & mask).any()
+    assert np.count_nonzero(displace_mask(mask, towards)) == np.count_nonzero(mask)
+    left = halve_mask(mask, towards)
+    np.testing.assert_array_equal(left, mask & (np.arange(80) < 40))
+    assert (extend_mask_by_disc(mask, towards) & mask).sum() == mask.sum()
+    assert extend_mask_by_disc(mask, towards)[:, 50:].any()
+    assert not extend_mask_by_disc(mask, towards)[:, :30].any()
+
+
+def test_a_share_of_the_frames_has_wrong_masks_never_in_ignored_pixels() -> None:
+    clip, masks = scene("can", 0, SHORT)
+    for fault in MASK_FAULTS:
+        same, changed = WrongMasks(fault, 0.5)(clip, masks, 0)
+        assert same is clip
+        differ = (changed.object != masks.object).any(axis=(1, 2))
+        assert differ.sum() == 2
+        assert not (changed.object & masks.ignore & ~masks.object).any()
+    again = WrongMasks(fault, 0.5)(clip, masks, 0)[1]
+    np.testing.assert_array_equal(changed.object, again.object)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from getagrip.bench.ablations import ABLATIONS
-from getagrip.bench.grasp_job import GraspTrial
+from getagrip.bench.grasps import GraspTrial
 from getagrip.bench.timelines import ALL_NOISE_LEVELS, TIMELINE_NOISE_LEVELS
 from getagrip.cli import main
 from getagrip.cli.bench import BENCHES

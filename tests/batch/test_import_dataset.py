@@ -1,4 +1,4 @@
-"""``getagrip import``: its subcommands are the table of datasets, and what happens to clips is the same for all."""
+"""``getagrip import``: its subcommands are the table of datasets; all treat clips alike."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 
 from getagrip.batch.import_dataset import ImportJob, import_clips, import_part
-from getagrip.batch.job import Limits
 from getagrip.batch.ledger import LEDGER_FILE, Ledger
-from getagrip.batch.scheduling import SchedulingOptions, Shard
+from getagrip.batch.scheduling import Limits, SchedulingOptions, Shard
 from getagrip.cli.datasets import DATASETS
 from getagrip.errors import InputError
 from getagrip.io import files
@@ -71,7 +70,7 @@ def test_help_loads_no_reader() -> None:
         "from getagrip.cli import main\n"
         "try: main(['--help'])\n"
         "except SystemExit: pass\n"
-        "loaded = {'numpy', 'getagrip.datasets', 'getagrip.hands'} & set(sys.modules)\n"
+        "loaded = {'numpy', 'getagrip.readers.datasets', 'getagrip.hands'} & set(sys.modules)\n"
         "sys.exit(','.join(loaded) or 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -81,7 +80,7 @@ def test_help_loads_no_reader() -> None:
 @pytest.mark.slow
 def test_the_table_loads_no_compiler() -> None:
     """Or else ``getagrip import --help`` would wait for numba."""
-    code = "import sys, getagrip.commands.datasets\nsys.exit('numba' in sys.modules)"
+    code = "import sys, getagrip.cli.datasets\nsys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -1,4 +1,4 @@
-"""What is run on every clip: methods as they are, and the settings of ablations."""
+"""Variants that run on every clip: methods as they are, and the settings of ablations."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def test_settings_that_are_alike_share_their_results_and_only_these() -> None:
 
 
 def test_all_methods_but_the_slow_ones_where_none_is_named() -> None:
-    usual = [name for name, method in METHODS.items() if not method.slow]
-    assert [variant.folder for variant in method_variants([], Options())] == usual
+    fast = [name for name, method in METHODS.items() if not method.slow]
+    assert [variant.folder for variant in method_variants([], Options())] == fast
     assert [variant.folder for variant in method_variants(["paper"], Options())] == ["paper"]
 
 
