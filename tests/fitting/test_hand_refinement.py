@@ -68,9 +68,7 @@ def test_points_move_as_the_jacobian_says(made: tuple[Clip, Masks], number: int)
     np.testing.assert_allclose((place(x + step) - place(x - step)) / 2e-5, J, atol=tolerance)
 
 
-def test_at_the_truth_hardly_a_pixel_differs(
-    made: tuple[Clip, Masks],
-) -> None:
+def test_at_the_truth_hardly_a_pixel_differs(made: tuple[Clip, Masks]) -> None:
     clip, masks = made
     seen = HandSilhouette.of(clip, masks).with_field.with_fingers()
     value, g, H = seen(np.zeros((len(clip), seen.errors.size)))

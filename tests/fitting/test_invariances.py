@@ -60,10 +60,7 @@ def _reframed(clip: Clip, T_new_old: ndarray) -> Clip:
 
 @pytest.mark.parametrize(
     ("T", "tolerance"),
-    [
-        (SHIFTED, 2e-3),
-        (se3.rigid(se3.exp_so3(np.array([0.0, 0.0, np.pi / 2])), np.zeros(3)), 0.02),
-    ],
+    [(SHIFTED, 2e-3), (se3.rigid(se3.exp_so3(np.array([0.0, 0.0, np.pi / 2])), np.zeros(3)), 0.02)],
     ids=["shifted", "turned"],
 )
 @pytest.mark.slow

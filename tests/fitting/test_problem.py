@@ -77,11 +77,7 @@ def test_no_more_masks_are_in_memory_than_are_used(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(Masks, "packed", staticmethod(counted))
     problem = prepare_problem(clip, Options(frames=3))
     assert kept == [3]
-    assert problem.clip.frames == (
-        "0000",
-        "0005",
-        "0008",
-    )
+    assert problem.clip.frames == ("0000", "0005", "0008")
 
 
 def test_every_mask_is_checked_also_those_that_are_not_used(tmp_path: Path) -> None:

@@ -114,12 +114,7 @@ def at_soft(at: Hinge) -> Soft[Hinge]:
     return Soft(at, np.zeros((len(at.R), N, 6)), (1e3, 1e3))
 
 
-KINDS: dict[str, Callable[[Hinge], Motion]] = {
-    "fixed": at_fixed,
-    "hinge": at_hinge,
-    "free": at_free,
-    "soft": at_soft,
-}
+KINDS: dict[str, Callable[[Hinge], Motion]] = {"fixed": at_fixed, "hinge": at_hinge, "free": at_free, "soft": at_soft}
 EVERY = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS.keys())
 
 

@@ -101,9 +101,7 @@ def test_an_unmoved_hand_holds_the_object_where_the_camera_sees_it() -> None:
     energy, bodies = joint_scene(2)
     input_hand = energy.T_cam_hand
     same = replace(
-        bodies,
-        hand_R=input_hand[:, :3, :3],
-        hand_centre=se3.transform(input_hand, bodies.grip[:, None])[:, 0],
+        bodies, hand_R=input_hand[:, :3, :3], hand_centre=se3.transform(input_hand, bodies.grip[:, None])[:, 0]
     )
     np.testing.assert_allclose(same.T_cam_hand, input_hand, atol=1e-12)
     held = same.in_hand()

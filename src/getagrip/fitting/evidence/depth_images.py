@@ -1,4 +1,4 @@
-"""Depth images: ``depth``."""
+"""Depth images (``depth``): distances of the visible surfaces of object and hand, their checks and their term."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ if TYPE_CHECKING:  # files of clips are asked for by commands that fit nothing
     from getagrip.fitting.problem import Problem
 
 DEPTH_WEIGHT = 0.004
-"""Energy per squared deviation of an independent sample [area of the masks]: what a nat of the masks weighs for objects
-of the hand's size, and less for smaller ones, whose contact with the hand counts less as well."""
+"""Energy per squared deviation of an independent sample [area of the masks]: a nat of the masks for objects of the
+hand's size, and less for smaller ones, whose contact with the hand counts less as well."""
 MAX_DEPTH_MESH_FACES = {64: 200, 128: 500, 256: 500}
-"""Most faces of the object at each resolution."""
+"""Maximum number of faces of the object at each resolution."""
 MAX_DEPTH_SAMPLES = {64: 40, 128: 60, 256: 100}
-"""Samples of a body in a frame, at each resolution."""
+"""Maximum number of samples of a body in a frame, at each resolution."""
 MAX_DEPTH_MISFIT = 1.6
-"""Usual deviation of depth from the surfaces that were found, its warp apart, at most [in what it may err by]; 0.4 to 1
-on training clips, 1 to 3.6 for depth of another clip."""
+"""Maximum deviation of depth from the solved surfaces, without its warp [standard deviations]; 0.4 to 1 on training
+clips, 1 to 3.6 for depth of another clip."""
 MAX_DEPTH_WARP = 0.03
-"""Usual warp over object and hand, at most [share of the distance]: at most 0.021 on training clips, 0.05 to 0.16 where
-depth is warped by 30 %, but for one of 36."""
+"""Maximum warp over object and hand [fraction of the distance]: 0.021 on training clips, 0.05 to 0.16 where depth is
+warped by 30 %, but for one of 36."""
 
 
 def hand_depth_ratio(it: Evidence) -> float:
-    """Measure how many times as far away metric depth shows the hand as it is given."""
+    """Measure the ratio of the hand's distance in metric depth to its input distance."""
     depth = DepthImages().of(it.clip)
     if depth is None or depth.source.scale != "metric":
         return np.nan
@@ -57,27 +57,26 @@ def hand_depth_ratio(it: Evidence) -> float:
 
 
 def has_depth_unit_mismatch(depth: Depth, samples: DepthSamples) -> bool:
-    """Return whether metric depth shows the hand so far away, or so near, that it is not used."""
+    """Return whether metric depth shows the hand at a distance beyond ``MAX_DEPTH_RATIO``, and is not used."""
     from getagrip.fitting.energy.depth_term import median_hand_depth_ratio
 
-    return depth.source.scale == "metric" and bool(
-        abs(np.log(median_hand_depth_ratio(samples))) > np.log(MAX_DEPTH_RATIO)
-    )  # not of NaN
+    off = abs(np.log(median_hand_depth_ratio(samples)))
+    return depth.source.scale == "metric" and bool(off > np.log(MAX_DEPTH_RATIO))  # not of NaN
 
 
 def measure_background_ratio(it: Evidence) -> float:
-    """Measure how many times as far away as the object what is around it is in depth images."""
+    """Measure the ratio of the surroundings' distance to the object's in depth images."""
     depth = DepthImages().of(it.clip)
     return np.nan if depth is None else median_surroundings_depth_ratio(depth, it.masks, it.clip.size)
 
 
 def missing_depth_fraction(it: Evidence) -> float:
-    """Measure the share of the visible surface of object and hand that has no depth."""
+    """Measure the fraction of the visible surface of object and hand without depth."""
     return _depth_fractions(it)[0]
 
 
 def outlier_depth_fraction(it: Evidence) -> float:
-    """Measure the share of the surface's depth that is far behind or before the rest."""
+    """Measure the fraction of the surface's depth far behind or before the rest."""
     return _depth_fractions(it)[1]
 
 
@@ -91,7 +90,7 @@ def _depth_fractions(it: Evidence) -> tuple[float, float]:
 
 
 def depth_misfit(it: Evidence) -> float:
-    """Measure how far depth is off the surfaces that were found, its own scale and warp apart, in what it may err by.
+    """Measure depth's deviation from the solved surfaces, without its scale and warp [standard deviations].
 
     NaN of depth that is not used.
     """
@@ -99,7 +98,7 @@ def depth_misfit(it: Evidence) -> float:
 
 
 def depth_warp(it: Evidence) -> float:
-    """Measure how far depth is found to be warped over object and hand [share of the distance]; NaN as ``depth_misfit``."""
+    """Measure depth's warp over object and hand [fraction of the distance]; NaN as ``depth_misfit``."""
     return _depth_misfit_and_warp(it)[1]
 
 
