@@ -239,12 +239,6 @@ class Problem:
             clip = replace(clip, hand=self.refinement.with_fingers(clip.hand, at))
         return clip.with_hand_at(interpolate_solved_hand(clip.hand.T_cam_hand, self.clip.hand.T_cam_hand, at))
 
-    def with_input_hand(self) -> Problem:
-        """Return the problem with the hand's input poses."""
-        if self.refinement is None:
-            return self
-        return replace(self, clip=self.clip.with_hand_at(self.refinement.seen.errors.tracked.T_cam_hand))
-
     def warped(self, warp: Warp | None) -> Problem:
         """Return the problem with its mesh deformed by a warp, if any, and contact of more weight."""
         if warp is None:
@@ -336,7 +330,7 @@ def _prepare_sampled(
         clip = replace(clip, hand=hand).with_hand_at(refinement.T_cam_hand)
         notes.append(str(refinement))
         if refinement.kind != kind_of_hands(clip.provenance):
-            notes.append("the hand counts as estimated, since it was turned farther than measured hands are off")
+            notes.append("the hand counts as estimated: it was turned farther than the errors of measured hands allow")
     hand_drawn = options.occlusion and not masks.say_what_hides
     if hand_drawn:
         masks = occluded_by_hand(clip, masks)

@@ -381,7 +381,7 @@ def test_a_gap_is_what_lies_between(gap: int) -> None:
     np.testing.assert_array_equal(find_gap_pixels(hidden, observed), found)
 
 
-def test_what_is_wider_or_touches_is_no_gap() -> None:
+def test_wider_spaces_and_touching_masks_are_no_gaps() -> None:
     assert not find_gap_pixels(*strips(0)).any()
     assert not find_gap_pixels(*strips(MAX_GAP_PX + 1)).any()
     observed, hidden = strips(3)

@@ -171,14 +171,14 @@ def test_hessians_can_be_trusted(kind: str) -> None:
     assert (eigenvalues >= -1e-9 * np.abs(eigenvalues).max()).all()
 
 
-def test_a_term_in_a_held_hand_is_the_term() -> None:
+def test_a_term_in_a_fixed_hand_is_the_term() -> None:
     rng = np.random.default_rng(4)
     term, poses = some_term("interaction", rng), random_poses(rng)
     found, expected = (at(poses, no_bound(poses)) for at in (InHand(term), term))
     np.testing.assert_array_equal(found.g, expected.g)
 
 
-def test_a_term_on_a_held_hand_is_zero() -> None:
+def test_a_term_on_a_fixed_hand_is_zero() -> None:
     rng = np.random.default_rng(5)
     term, poses = OnHand(some_term("reprojection", rng)), random_poses(rng)
     assert not term(poses, no_bound(poses)).value.any()

@@ -72,7 +72,7 @@ def test_a_hand_that_is_shaken_is_left_as_it_is() -> None:
     assert glitches_of(clip) == ()
 
 
-def test_a_hand_that_goes_elsewhere_and_stays_does_not_jump() -> None:
+def test_a_hand_that_moves_and_stays_does_not_jump() -> None:
     clip = along(np.where(np.arange(FRAMES)[:, None] < 20, 0.0, 0.3) * [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     assert glitches_of(clip) == ()
 
@@ -121,7 +121,7 @@ def test_jumps_are_the_same_from_any_camera_and_in_reverse() -> None:
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3])
-def test_few_frames_have_no_jumps_that_could_be_told(frames: int) -> None:
+def test_few_frames_have_no_known_jumps(frames: int) -> None:
     clip = smooth().take(np.arange(frames))
     assert glitches_of(clip) == ()
 
@@ -263,7 +263,7 @@ def test_nor_do_they_hide_its_error(made: tuple[Clip, Masks]) -> None:
     assert apart(clip, found.T_cam_hand)[1] < 0.4 * apart(clip, clip.hand.T_cam_hand)[1]
 
 
-def test_grown_masks_are_as_large_as_the_silhouettes_and_no_smaller_than_given(made: tuple[Clip, Masks]) -> None:
+def test_grown_masks_are_as_large_as_the_silhouettes_and_no_smaller_than_the_input(made: tuple[Clip, Masks]) -> None:
     clip, masks = made
     true = HandMask.of(clip, masks)
     small = HandMask.of(clip, smaller(masks, 3))
@@ -324,7 +324,7 @@ def test_the_arm_says_nothing(made: tuple[Clip, Masks]) -> None:
 
 
 @pytest.mark.slow
-def test_as_given_leaves_everything_as_it_is(made: tuple[Clip, Masks]) -> None:
+def test_the_option_as_given_changes_nothing(made: tuple[Clip, Masks]) -> None:
     clip = off(made[0], CONSTANT)
     assert prepare_problem(with_masks(clip, made[1]), Options()).trust.hand_refined
     for options in (Options(hands="as-given"), Options(method="paper")):

@@ -153,7 +153,7 @@ def test_a_file_of_the_first_version_is_refused_for_own_grasps(tmp_path: Path, r
         assert notes == ("started from 3 poses of poses.npz, and 9 uniform rotations",)
 
 
-def test_an_object_without_poses_starts_from_even_rotations_and_the_result_says_so(tmp_path: Path) -> None:
+def test_an_object_without_poses_starts_from_uniform_rotations_and_the_result_says_so(tmp_path: Path) -> None:
     options = poses_file(tmp_path / "poses.npz", held("a", "Ann"))
     clip, masks = replace(held("b", "Bob"), side="left"), small_clip()[1]
     problem = prepare_problem(with_masks(clip, masks), options)
@@ -162,7 +162,7 @@ def test_an_object_without_poses_starts_from_even_rotations_and_the_result_says_
     assert np.array_equal(starts.R, initial_poses(clip, masks, 12).R)
 
 
-def test_given_poses_come_first_then_even_rotations() -> None:
+def test_prior_poses_come_first_then_uniform_rotations() -> None:
     clip, masks = small_clip()
     clip = replace(clip, mesh=Mesh(clip.mesh.vertices + np.array([0.0, 0.1, 0.0]), clip.mesh.faces))
     poses = se3.rigid(rotations(3), np.array([0.01, 0.02, 0.03]))
@@ -176,7 +176,7 @@ def test_given_poses_come_first_then_even_rotations() -> None:
 
 
 @pytest.mark.slow
-def test_given_poses_may_stand_alone(tmp_path: Path, refused: Callable[..., str]) -> None:
+def test_prior_poses_may_be_used_alone(tmp_path: Path, refused: Callable[..., str]) -> None:
     """At most as many as ``inits``, and no uniform ones; an object without any is an error, not a uniform search."""
     filled = poses_file(tmp_path / "poses.npz", held("a", "Ann"), held("b", "Bob", 1))
     assert filled.priors is not None
@@ -308,7 +308,7 @@ def test_starts_without_their_file_and_files_without_use_are_wrong(init: Init) -
 
 
 @pytest.mark.parametrize("init", ["clusters", "priors"])
-def test_what_is_not_there_is_named(tmp_path: Path, refused: Callable[..., str], init: Init) -> None:
+def test_missing_files_are_named(tmp_path: Path, refused: Callable[..., str], init: Init) -> None:
     refused(lambda: priors.priors_checksum(tmp_path / "nothing", init), "nothing")
 
 

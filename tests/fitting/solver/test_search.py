@@ -107,7 +107,7 @@ def test_a_bottle_that_has_spun_is_the_same_and_one_that_was_tilted_is_not() -> 
     np.testing.assert_array_equal(suppress_duplicates(still.poses(), np.arange(4.0), surface, keep=9), [0, 3])
 
 
-def test_a_large_pan_that_has_turned_its_handle_elsewhere_is_another() -> None:
+def test_a_large_pan_with_its_handle_turned_is_no_duplicate() -> None:
     pan = SYNTHETIC_CATEGORIES["pan"]()
     surface = ObjectSurface.of(pan)
     R = se3.exp_so3(np.radians([[0.0, 0.0, a] for a in (0.0, 30.0, 60.0, 90.0, 180.0)]))

@@ -422,7 +422,7 @@ def test_the_unit_of_energy_does_not_matter() -> None:
     np.testing.assert_allclose(ends[0].centre, ends[1].centre, atol=1e-6)
 
 
-def test_what_is_behind_the_camera_is_lost() -> None:
+def test_an_object_behind_the_camera_is_lost() -> None:
     @dataclass(frozen=True)
     class Nowhere:
         name: str = "nowhere"

@@ -74,7 +74,7 @@ def test_the_true_size_is_the_best(method: str) -> None:
 
 @pytest.mark.parametrize("by", [0.9, 1.1])
 @pytest.mark.slow
-def test_a_size_that_is_not_the_objects_is_told(by: float) -> None:
+def test_another_size_than_the_objects_is_found(by: float) -> None:
     clip, masks = scene("bottle", 1, SHORT)
     factor, gain = rather(resized(clip, by), masks)
     assert factor * by == pytest.approx(1.0, abs=0.04)

@@ -86,13 +86,13 @@ def test_sides_of_a_built_in_box_stay_flat(known: bool) -> None:
     assert (np.abs(off).max() < 0.004 * mesh.diameter) != known
 
 
-def test_the_objects_own_mesh_is_believed() -> None:
+def test_the_objects_own_mesh_is_kept() -> None:
     clip, masks = scene("mug", 0)
     assert shape_at_truth(clip, masks) is None
     assert shape_at_truth(stretched(clip), masks, misfit=0.9 * MIN_MESH_MISFIT) is None
 
 
-def test_a_motion_that_is_not_fitted_yet_is_no_reason_to_doubt_the_mesh() -> None:
+def test_a_motion_that_is_not_fitted_yet_does_not_deform_the_mesh() -> None:
     clip, masks = scene("mug", 0)
     problem, frames = prepare_problem(with_masks(clip, masks), Options()), np.arange(len(clip))
     true = at_truth(problem)
@@ -106,7 +106,7 @@ def test_a_motion_that_is_not_fitted_yet_is_no_reason_to_doubt_the_mesh() -> Non
     assert misfit_of(problem, search_of(problem, lambda stage: None), rough.motion) < MIN_MESH_MISFIT
 
 
-def test_a_shape_that_is_nearly_the_meshs_own_is_believed_to_be(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_shape_near_the_mesh_is_taken_for_the_meshs_own(monkeypatch: pytest.MonkeyPatch) -> None:
     clip, masks = scene("mug", 0)
     warp = shape_at_truth(stretched(clip), masks)
     assert warp is not None
@@ -166,7 +166,7 @@ def test_a_result_has_the_shape_and_says_so(tmp_path: Path, method: str) -> None
 
 
 @pytest.mark.slow
-def test_a_hinge_that_explains_the_masks_is_as_with_the_mesh_as_given(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hinge_that_explains_the_masks_keeps_the_input_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
     clip, masks = scene("mug", 0)
     as_given = reconstruct(clip, masks, Options(method="one-dof", inits=8, mesh="as-given"))
     monkeypatch.setattr(all_frames, "coarse_fit", None)  # the soft fit of another shape is not even begun
@@ -201,7 +201,7 @@ def test_the_objects_own_mesh_leaves_no_more_than_pixels_do(pixels: int) -> None
     assert misfit_at_truth(pixels) < 1.2
 
 
-def test_a_mesh_of_its_kind_leaves_more() -> None:
+def test_a_template_mesh_leaves_more() -> None:
     wide = Mesh(HELD.vertices * [1.0, 1.2, 1.0], HELD.faces)
     wider = Mesh(HELD.vertices * [1.0, 1.4, 1.0], HELD.faces)
     assert 1.5 < misfit_at_truth(640, wide) < misfit_at_truth(640, wider)

@@ -70,17 +70,8 @@ def measure_background_ratio(it: Evidence) -> float:
     return np.nan if depth is None else median_surroundings_depth_ratio(depth, it.masks, it.clip.size)
 
 
-def missing_depth_fraction(it: Evidence) -> float:
-    """Measure the fraction of the visible surface of object and hand without depth."""
-    return _depth_fractions(it)[0]
-
-
-def outlier_depth_fraction(it: Evidence) -> float:
-    """Measure the fraction of the surface's depth far behind or before the rest."""
-    return _depth_fractions(it)[1]
-
-
-def _depth_fractions(it: Evidence) -> tuple[float, float]:
+def depth_fractions(it: Evidence) -> tuple[float, float]:
+    """Measure the fraction of the visible surface without depth, and of its depth far behind or before the rest."""
     depth = DepthImages().of(it.clip)
     if depth is None:
         return np.nan, np.nan
@@ -89,20 +80,11 @@ def _depth_fractions(it: Evidence) -> tuple[float, float]:
     return missing_and_outlier_fractions(it.clip, it.masks, depth)
 
 
-def depth_misfit(it: Evidence) -> float:
-    """Measure depth's deviation from the solved surfaces, without its scale and warp [standard deviations].
+def depth_misfit(it: Evidence) -> tuple[float, float]:
+    """Measure depth's deviation from the solved surfaces [standard deviations], and its warp [fraction of distance].
 
-    NaN of depth that is not used.
+    The deviation is without depth's scale and warp. NaN of depth that is not used.
     """
-    return _depth_misfit_and_warp(it)[0]
-
-
-def depth_warp(it: Evidence) -> float:
-    """Measure depth's warp over object and hand [fraction of the distance]; NaN as ``depth_misfit``."""
-    return _depth_misfit_and_warp(it)[1]
-
-
-def _depth_misfit_and_warp(it: Evidence) -> tuple[float, float]:
     depth = DepthImages().of(it.clip)
     if depth is None or it.T_hand_obj is None:
         return np.nan, np.nan
@@ -121,43 +103,36 @@ class DepthImages(Modality[Depth]):
     input_checks = (
         Check(
             "depth-unit", hand_depth_ratio, low=1.0 / MAX_DEPTH_RATIO, high=MAX_DEPTH_RATIO,
-            fault="depth images show the hand {value} times as far away as it is given, and were not used",
+            fault="depth images show the hand at {value} times its input distance, and were not used",
             advice="check the depth's unit and scale, and the hand's distance",
         ),
         Check(
             "depth-inverse", measure_background_ratio, low=MIN_SURROUNDINGS_DEPTH_RATIO,
-            fault="depth images show what is around the object {value} times as far away, and were not used",
+            fault="depth images show the object's surroundings at {value} times its distance, and were not used",
             advice="are these disparities (inverse depth)? Import depth",
         ),
         Check(
-            "depth-missing", missing_depth_fraction, high=0.9, serious=False, shown=format_percent,
+            "depth-missing", lambda it: depth_fractions(it)[0], high=0.9, serious=False, shown=format_percent,
             fault="{value} of the visible surface of object and hand have no depth", advice="is it of this clip?",
         ),
         Check(
-            "depth-elsewhere", outlier_depth_fraction, high=0.25, serious=False, shown=format_percent,
+            "depth-elsewhere", lambda it: depth_fractions(it)[1], high=0.25, serious=False, shown=format_percent,
             fault="{value} of the depth on object and hand is far behind or before the rest",
             advice="is it of this clip, aligned to its images and of the same field of view?",
         ),
     )  # fmt: skip
     result_checks = (
         Check(
-            "depth-misfit",
-            depth_misfit,
-            high=MAX_DEPTH_MISFIT,
-            serious=False,
-            fault="depth is off the surfaces that were found by {value} times what it may err by, and counted little",
-            advice="is it of this clip? A wrong hand or mesh is off likewise",
+            "depth-misfit", lambda it: depth_misfit(it)[0], high=MAX_DEPTH_MISFIT, serious=False,
+            fault="depth deviates from the solved surfaces by {value} standard deviations, and counted little",
+            advice="is it of this clip? A wrong hand or mesh has the same effect",
         ),
         Check(
-            "depth-warped",
-            depth_warp,
-            high=MAX_DEPTH_WARP,
-            serious=False,
-            shown=format_percent,
+            "depth-warped", lambda it: depth_misfit(it)[1], high=MAX_DEPTH_WARP, serious=False, shown=format_percent,
             fault="depth is warped by {value} over hand and object",
-            advice="of a network's it was left out; is it of this clip, and of a network that knows such scenes?",
+            advice="a network's warp was left out; is the depth of this clip, and does the network know such scenes?",
         ),
-    )
+    )  # fmt: skip
 
     def files(self, folder: Path, frames: Sequence[str]) -> list[str]:
         return [name for frame in frames if (name := depth_file(folder, frame)) is not None]

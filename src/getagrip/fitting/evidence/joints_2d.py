@@ -73,7 +73,7 @@ class HandJoints2D(Modality[Joints2D]):
     result_checks = (
         Check(
             "joints-left-out", joints_2d_excluded, high=0.0, serious=False, fault=joints_2d_exclusion_reason,
-            advice="give this hand's, in pixels of these images and in the order of hand.npz",
+            advice="import 2D joints of this hand, in pixels of these images and in the order of hand.npz",
         ),
     )  # fmt: skip
 

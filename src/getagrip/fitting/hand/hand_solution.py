@@ -47,7 +47,7 @@ class SolvedHand:
             Poses in the hand frame, in pairs, the least certain direction first.
         """
         certain, axes = np.linalg.eigh(self.covariance)
-        root, moved = axes * np.sqrt(np.maximum(certain, 0.0)), _hand_point_jacobian(points)
+        root, moved = axes * np.sqrt(np.maximum(certain, 0.0)), rigid_point_jacobian(points)
         spread, axes = np.linalg.eigh(root.T @ np.einsum("pij,pik->jk", moved, moved) @ root / len(points))
         x = (apart * root @ axes[:, ::-1] / np.sqrt(np.maximum(spread[::-1], MIN_POINT_VARIANCE_M2))).T
         x = np.stack([x, -x], axis=1)[:N_ALTERNATIVE_DIRECTIONS].reshape(-1, 6)
@@ -56,7 +56,7 @@ class SolvedHand:
 
     def spread(self, points: Float[ndarray, "P 3"]) -> float:
         """Compute the standard deviation of points in the hand, from its middle, that its shared error leaves [m]."""
-        moved = _hand_point_jacobian(points)
+        moved = rigid_point_jacobian(points)
         return float(np.sqrt(np.einsum("pij,jk,pik->p", moved, self.covariance, moved).mean()))
 
     def __str__(self) -> str:
@@ -68,8 +68,8 @@ class SolvedHand:
         )
 
 
-def _hand_point_jacobian(points: Float[ndarray, "P 3"]) -> Float[ndarray, "P 3 6"]:
-    """Differentiate points by the hand's shift and turn."""
+def rigid_point_jacobian(points: Float[ndarray, "P 3"]) -> Float[ndarray, "P 3 6"]:
+    """Differentiate points about a body's centre by the body's shift and turn."""
     return np.concatenate([np.broadcast_to(np.eye(3), (len(points), 3, 3)), -se3.hat(points)], axis=-1)
 
 

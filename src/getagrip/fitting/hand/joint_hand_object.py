@@ -45,9 +45,10 @@ def solve_with_hand(problem: Problem, motion: M, energy_of: EnergyOf) -> tuple[S
     """
     refinement = problem.refinement
     assert refinement is not None
-    given, nat = problem.with_input_hand(), energy_of_nat(problem)
-    frames, T_input = np.arange(len(given.clip)), given.clip.hand.T_cam_hand
-    terms = sum_energies(energy_of(given), hand_evidence_energy(given))(HAND_OBJECT_LEVEL_PX, frames)
+    frames, nat = np.arange(len(problem.clip)), energy_of_nat(problem)
+    T_input = refinement.seen.errors.tracked.T_cam_hand
+    unrefined = replace(problem, clip=problem.clip.with_hand_at(T_input))
+    terms = sum_energies(energy_of(unrefined), hand_evidence_energy(unrefined))(HAND_OBJECT_LEVEL_PX, frames)
     start = _motion_in_moving_hand(refinement, motion.take(np.zeros(1, int)), nat)
     found = minimise(start, terms, T_input, HAND_OBJECT_ITERATIONS)
     for iterations in WIDENED_PRIOR_ITERATIONS:

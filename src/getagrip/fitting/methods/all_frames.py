@@ -81,7 +81,9 @@ def soft_hinges(problem: Problem, on_stage: OnStage, more: Energy = NO_TERMS) ->
     """Search for soft hinges without fitting the mesh; return distinct solutions, best first."""
     search = search_of(problem, on_stage)
     rough = coarse_fit(problem, search, more)
-    return fine_fit(problem, search, rough, stiffen_ridge(SOFT_RIDGE, misfit_of(problem, search, rough.motion)), more)
+    ridge = stiffen_ridge(SOFT_RIDGE, misfit_of(problem, search, rough.motion))
+    energy = add_contact_consistency(problem, sum_energies(coarse_energy(problem), more))
+    return search.fine(soft_hinge_of(problem, search, rough, ridge), energy)
 
 
 def coarse_fit(problem: Problem, search: Search, more: Energy) -> Solution[Soft[Fixed]]:
@@ -89,14 +91,6 @@ def coarse_fit(problem: Problem, search: Search, more: Energy) -> Solution[Soft[
     energy = sum_energies(coarse_energy(problem), more)
     relaxed = search.relax(make_initial_poses(problem), energy)
     return search.coarse(replace(relaxed, ridge=COARSE_RIDGE), energy)
-
-
-def fine_fit(
-    problem: Problem, search: Search, rough: Solution[Soft[Fixed]], ridge: tuple[float, float], more: Energy
-) -> Solution[Soft[Hinge]]:
-    """Run the fine stages, with deviations as stiff as ``ridge``."""
-    energy = sum_energies(coarse_energy(problem), more)
-    return search.fine(soft_hinge_of(problem, search, rough, ridge), add_contact_consistency(problem, energy))
 
 
 def fine_fit_with_hand(

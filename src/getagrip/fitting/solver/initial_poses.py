@@ -161,7 +161,7 @@ def _representatives(T: Float[ndarray, "n 4 4"], mesh: Mesh, most: int) -> Float
 def _check_unchanged(file: PriorsFile, init: Init) -> None:
     """Raise ``InputError`` where the content has changed since the options were made."""
     if priors_checksum(file.path, init) != file.sha256:
-        raise InputError(file.path, "", "another content than a moment ago", "a file that stays as it is")
+        raise InputError(file.path, "", "content that has changed since it was named", "a file that stays unchanged")
 
 
 @lru_cache(maxsize=256)

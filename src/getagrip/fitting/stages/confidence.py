@@ -36,13 +36,13 @@ from getagrip.checks.calibration import (
 from getagrip.checks.features import was_corrected
 from getagrip.clip import Clip
 from getagrip.fitting.energy.mask import MASK_CROP_SIZE_PX
+from getagrip.fitting.hand.hand_solution import rigid_point_jacobian
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solver.category_prior import opening_angle
 from getagrip.fitting.solver.solve import hessian, minimise
 from getagrip.fitting.stages.mesh_deformation import relative_contour_error
 from getagrip.fitting.stages.remaining_frames import SolutionTrack
-from getagrip.geometry import se3
 from getagrip.least_squares import BlockArrow
 from getagrip.provenance import is_assumed, kind_of_hands
 from getagrip.result import Candidates
@@ -148,14 +148,8 @@ def pose_spread(problem: Problem, found: MethodResult) -> float:
     noise = found.terms["mask"] / len(frames)
     middle, scale = len(frames) // 2, float(found.poses.scale[0])
     x = scale * problem.surface.points @ found.poses.R[0, middle].T
-    moved = _surface_jacobian(x) @ J_shared[0, middle] @ spread
+    moved = np.concatenate([rigid_point_jacobian(x), x[..., None]], axis=-1) @ J_shared[0, middle] @ spread
     return float(np.sqrt(noise * np.mean(np.sum(moved**2, axis=(1, 2)))) / (scale * problem.surface.diameter))
-
-
-def _surface_jacobian(x: Float[ndarray, "P 3"]) -> Float[ndarray, "P 3 7"]:
-    """Differentiate points about the object's centre by its local 7-vector."""
-    shift = np.broadcast_to(np.eye(3), (len(x), 3, 3))
-    return np.concatenate([shift, -se3.hat(x), x[..., None]], axis=-1)
 
 
 def scale_check(problem: Problem, found: MethodResult) -> tuple[float, float]:

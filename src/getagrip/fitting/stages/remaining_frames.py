@@ -99,8 +99,9 @@ def extend_to_every_frame(clip: Clip, problem: Problem, found: MethodResult, tra
             near = PosesInHand(R[:, at], centre[:, at], found.poses.scale)
             beside = partial(_bending_term, part, index, near, at, smooth) if smooth > 0.0 else None
             fitted = fit_frame_parameters(part, found, sampled, index, beside)
-            poses = fitted.poses()
-            angle[index] = _angles_of_best(fitted)
+            poses, angles = fitted.poses(), fitted.angles()
+            if angles is not None:
+                angle[index] = angles[0]
             for n in index:
                 kind[n] = "fitted"
         else:
@@ -119,8 +120,8 @@ def extend_to_every_frame(clip: Clip, problem: Problem, found: MethodResult, tra
     if track.angle is not None:
         seen = ~np.isnan(angle)
         angle[~seen] = np.interp(np.flatnonzero(~seen), np.flatnonzero(seen), angle[seen])
-    angles = None if track.angle is None else angle
-    return SolutionTrack(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, angles, iou, names)
+    shown_angle = None if track.angle is None else angle
+    return SolutionTrack(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, shown_angle, iou, names)
 
 
 def fit_frame_parameters(
@@ -181,9 +182,3 @@ def _chunks_of_frames(
             part = problem.at(clip.take(index)) if wrong.any() and len(index) else part
         if len(index):
             yield index, part
-
-
-def _angles_of_best(motion: Motion) -> Float[ndarray, "T"] | float:
-    """Return the angles of the best hypothesis; NaN of a motion without a latent axis."""
-    angles = motion.angles()
-    return np.nan if angles is None else angles[0]
