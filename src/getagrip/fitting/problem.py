@@ -177,7 +177,7 @@ class Problem:
         observation: its masks as crops, with contours.
         surface: surface of the object.
         options: options of the reconstruction, with the number of initial poses that this clip's scale asks for.
-        prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before those with uniform rotations, or alone.
+        prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before uniform rotations, or alone.
         notes: dropped frames, assumptions, initial poses, replacements of missing masks.
         threads: number of threads that share the hypotheses of a fit.
         trust: the trust in these inputs.

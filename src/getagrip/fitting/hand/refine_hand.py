@@ -83,10 +83,10 @@ SUSPECT_JOINTS_FRACTION, JOINTS_CONTRADICTION_FRACTION = 0.12, 0.05
 """Fraction of differing pixels above which joints are suspect, and decrease of the fraction without them above which
 they are left out, as another hand's or another camera's."""
 MAX_MEASURED_TURN_RAD, MAX_REMAINING_FRACTION = np.radians(4.5), 0.5
-"""Turn of a hand given as measured, and remaining fraction of its differing pixels, beyond and below which the hand
-counts as estimated. On training clips hands of 10 mm and 8 degrees are turned by 4.9 or more, ``moderate`` ones by up
-to 4.3, and ``strong`` ones leave 36 % at most. Masks that are off by 4 px turn exact hands by up to 6.2 degrees, but
-then leave 80 %."""
+"""A hand declared as measured counts as estimated if it is turned by more than the first, and at most the second of its
+differing pixels remain [fraction]. On training clips hands of 10 mm and 8 degrees are turned by 4.9 or more,
+``moderate`` ones by up to 4.3, and ``strong`` ones leave 36 % at most. Masks that are off by 4 px turn exact hands by
+up to 6.2 degrees, but then leave 80 %."""
 REFINEMENT_ITERATIONS = 10, 8, 3
 """Iterations: without bends; with them, at some of the frames; at all of them."""
 N_FLEXION_FRAMES = 10
@@ -190,7 +190,7 @@ class HandRefinement:
         shared: (P,) the errors that all frames share (``HandErrors``).
         own: (N, P) the errors of each frame.
         joints: its 2D joints; None where they are unknown.
-        kind: the kind of hand whose errors were assumed; a hand given as measured may prove to be an estimate.
+        kind: the kind of hand whose errors were assumed; a hand declared as measured may prove to be an estimate.
     """
 
     T_cam_hand: Float[ndarray, "N 4 4"]

@@ -6,7 +6,7 @@ push and pull are those of the appendix, in metres, times 0.1 f, f the focal len
 axis starts as the CAD's z-axis through its origin, angles at zero; every initial pose runs to its end on all frames;
 the best IOU wins.
 
-The paper leaves these open, or its numbers rule out what is printed (docs/method.md says what was tried):
+The paper leaves these choices open, or its numbers contradict the printed ones (docs/method.md lists the trials):
 
 - the unit of push and pull: metres, as in the authors' later code. The printed millimetres are 1000 times the weights;
 - the height in E_pull: absolute, of the pair of least distance (``PaperPullTerm``), as in the authors' later code;
@@ -14,7 +14,7 @@ The paper leaves these open, or its numbers rule out what is printed (docs/metho
 - the object's vertices, on whose number E_push depends: the vertices of the mesh decimated to 1000 faces, about as
   many as the authors' meshes have;
 - the axis's location: it is a parameter (``Options.axis``), as in the authors' code;
-- initial poses: those of all our methods (``initial_poses``), or the paper's alone, from files.
+- initial poses: our methods' (``initial_poses``), or the paper's alone, from files.
 
 The paper's baselines are fitted by the same energy, optimiser and choice: ``static``, ``dynamic``, ``single_frame`` and
 ``homan``, whose joint stage adds its own terms.

@@ -88,7 +88,7 @@ def hand_object_transforms(poses: PosesInHand, centre: Float[ndarray, "3"]) -> F
 
 
 def transform_poses(poses: PosesInHand, T: Float[ndarray, "N 4 4"]) -> PosesInHand:
-    """Transform poses to another frame, given the hand's pose in it; the inverse leads back."""
+    """Transform poses to another frame by the hand's poses T in it; the inverse leads back."""
     R, t, hand = T[:, :3, :3], T[:, :3, 3], poses.hand
     if hand is not None:
         centre = (R @ hand.centre[..., None])[..., 0] + t

@@ -1,4 +1,4 @@
-"""Priors on grasps, size and upright axis of an unmeasured object, of which only the category is known.
+"""Priors on grasps, size and upright axis of an unmeasured object, known by its category only.
 
 The package's own mesh of the category stands for an object that nobody has measured. Its search also starts from the
 category's common grasps, turned about the object's upright axis, so that a handle is tried on every side of the hand.
