@@ -113,7 +113,7 @@ def test_beside_a_sensor_hand_and_object_have_their_own_sizes() -> None:
 
 
 @pytest.mark.slow
-def test_what_is_scaled_looks_the_same() -> None:
+def test_a_scaled_scene_looks_the_same() -> None:
     clip, masks = scene("mug", 1, SMALL)
     beside = with_hand_size(replace(clip, provenance=LIFTED), Options())
     found = reconstruct(replace(beside, size_beside_hand=False), masks, Options())

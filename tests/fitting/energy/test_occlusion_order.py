@@ -1,4 +1,4 @@
-"""The term of order in depth: which side of the surface a point is on, and the derivatives of how far it is wrong."""
+"""The term of order in depth: the side of the surface that a point is on, and derivatives of its error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Masks that contradict the others are left out, in frames that were fitted together and in the others."""
+"""Outlier masks are left out, in frames that were fitted together and in all others."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_mask_is_an_outlier_by_the_objects_size_and_by_the_other_masks(times: 
     assert poor.differing.max() < outlier_threshold(poor)
 
 
-def test_the_typical_pose_is_none_that_stands_alone() -> None:
+def test_the_typical_pose_is_no_outlier() -> None:
     R, centre = np.tile(np.eye(3), (1, 9, 1, 1)), np.zeros((1, 9, 3))
     centre[0, :, 0] = 1e-4 * np.arange(9)
     centre[0, 4] = 0.1

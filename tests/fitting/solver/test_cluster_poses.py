@@ -1,4 +1,4 @@
-"""Clusters of rotations, and what is learnt from grasps."""
+"""Clusters of rotations, and initial poses learnt from grasps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From some frames to every frame: what was fitted stays, the others follow it, and each says how it was found."""
+"""From the sampled frames to every frame: sampled poses stay, other frames follow, and each pose states its kind."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def test_a_corrected_hand_is_corrected_in_every_frame() -> None:
 
 
 @pytest.mark.slow
-def test_terms_of_ones_own_count_in_every_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_users_terms_count_in_every_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     """They draw the object's centre a few pixels aside, in the frames that were sampled and in the others."""
     clip, masks = made()
     assert clip.truth is not None

@@ -1,4 +1,4 @@
-"""Laws of the standard deviation that the energy leaves of a pose."""
+"""Pose spread and scale check: what lowers confidence in a result, and what does not."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from getagrip.clip import with_masks
+from getagrip.clip import Clip, Masks, with_masks
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem, prepare_problem
-from getagrip.fitting.stages.confidence import pose_spread
-from helpers.scenes import scene
+from getagrip.fitting.stages.confidence import pose_spread, scale_check
+from getagrip.geometry.mesh import Mesh
+from helpers.scenes import SHORT, scene
 
 
 @cache
@@ -52,3 +53,35 @@ def test_masks_that_are_met_badly_leave_more() -> None:
 def test_it_is_not_known_without_a_motion() -> None:
     problem, found = solved()
     assert np.isnan(pose_spread(problem, replace(found, motion=None)))
+
+
+def rather(clip: Clip, masks: Masks, method: str = "soft-hinge") -> tuple[float, float]:
+    problem = prepare_problem(with_masks(clip, masks), Options(method=method, inits=10))
+    return scale_check(problem, METHODS[method].fit(problem, lambda _: None))
+
+
+def resized(clip: Clip, by: float) -> Clip:
+    return replace(clip, mesh=Mesh(by * clip.mesh.vertices, clip.mesh.faces), truth=None)
+
+
+@pytest.mark.parametrize("method", ["soft-hinge", "one-dof", "dynamic"])
+@pytest.mark.slow
+def test_the_true_size_is_the_best(method: str) -> None:
+    factor, gain = rather(*scene("bottle", 1, SHORT), method)
+    assert factor == pytest.approx(1.0, abs=0.02)
+    assert 0.0 <= gain < 0.15
+
+
+@pytest.mark.parametrize("by", [0.9, 1.1])
+@pytest.mark.slow
+def test_another_size_than_the_objects_is_found(by: float) -> None:
+    clip, masks = scene("bottle", 1, SHORT)
+    factor, gain = rather(resized(clip, by), masks)
+    assert factor * by == pytest.approx(1.0, abs=0.04)
+    assert gain > 0.3
+
+
+def test_nothing_is_known_where_the_size_was_free_or_the_method_has_no_motion() -> None:
+    clip, masks = scene("bottle", 1, SHORT)
+    assert np.isnan(rather(replace(clip, scale="free"), masks)).all()
+    assert np.isnan(rather(clip, masks, "single-frame")).all()

@@ -1,4 +1,4 @@
-"""E_mask by shape: what it shares with E_mask by pose, and its gradient by the shape alone."""
+"""E_mask by shape: agreement with E_mask by pose, and its gradient by the shape alone."""
 
 from __future__ import annotations
 

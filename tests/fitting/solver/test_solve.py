@@ -1,4 +1,4 @@
-"""Laws of the solver, on terms whose minimum is known: matching points in space."""
+"""Levenberg-Marquardt on terms whose minimum is known: matching points, and frames tied to each other."""
 
 from __future__ import annotations
 
@@ -10,12 +10,23 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.fitting.energy import PosesInCamera, Quadratic
+from getagrip.fitting.energy import PosesInCamera, Quadratic, Term
+from getagrip.fitting.energy.homan_terms import InteractionTerm, SmoothnessTerm, vertex_moments
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft
-from getagrip.fitting.solver.solve import CURVATURE_FLOOR, evaluate, minimise, poses_in_camera
+from getagrip.fitting.solver import solve
+from getagrip.fitting.solver.solve import (
+    CURVATURE_FLOOR,
+    energy_gradient,
+    evaluate,
+    minimise,
+    minimise_by_adam,
+    poses_in_camera,
+)
 from getagrip.geometry import se3
 from getagrip.least_squares import DampingRules
 from getagrip.result import Status
+from helpers.terms import N as TERM_FRAMES
+from helpers.terms import random_poses, some_term
 
 N = 5
 STIFF = 1e6
@@ -114,12 +125,7 @@ def at_soft(at: Hinge) -> Soft[Hinge]:
     return Soft(at, np.zeros((len(at.R), N, 6)), (1e3, 1e3))
 
 
-KINDS: dict[str, Callable[[Hinge], Motion]] = {
-    "fixed": at_fixed,
-    "hinge": at_hinge,
-    "free": at_free,
-    "soft": at_soft,
-}
+KINDS: dict[str, Callable[[Hinge], Motion]] = {"fixed": at_fixed, "hinge": at_hinge, "free": at_free, "soft": at_soft}
 EVERY = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS.keys())
 
 
@@ -265,3 +271,166 @@ def test_a_softer_ridge_lets_frames_go_their_way() -> None:
     assert energies[0] < energies[1] < energies[2]
     assert energies[0] < 1e-2 * rigid
     assert energies[2] == pytest.approx(rigid, rel=1e-3)
+
+
+class Tied:
+    """A term that ties frames to each other by nothing."""
+
+    name = "tied"
+
+    def __init__(self, inner: Term) -> None:
+        self.inner = inner
+
+    def __call__(self, poses: PosesInCamera, bound: ndarray) -> Quadratic:
+        local = self.inner(poses, bound)
+        return replace(local, cross=np.zeros((*local.g.shape, *local.g.shape[1:])))
+
+
+@pytest.mark.parametrize("free_scale", [False, True])
+def test_tied_by_nothing_frames_are_solved_as_ever(free_scale: bool) -> None:
+    rng = np.random.default_rng(8)
+    poses = random_poses(rng)
+    terms = [some_term("reprojection", rng), some_term("interaction", rng)]
+    start = Free(poses.R, poses.centre, np.log(poses.scale), free_scale)
+    T = np.tile(np.eye(4), (TERM_FRAMES, 1, 1))
+    alone = minimise(start, terms, T, 4)
+    tied = minimise(start, [Tied(term) for term in terms], T, 4)
+    np.testing.assert_allclose(alone.energy, tied.energy, rtol=1e-6)
+    np.testing.assert_allclose(alone.motion.centre, tied.motion.centre, atol=1e-6)
+
+
+def test_steps_of_tied_frames_are_newton_steps() -> None:
+    """The smoothness of a body that may only be shifted is quadratic, and its minimum between two images known."""
+    rng = np.random.default_rng(9)
+    centre = np.array([0.0, 0.0, 0.5]) + rng.normal(0.0, 0.02, (1, TERM_FRAMES, 3))
+    start = Free(np.tile(np.eye(3), (1, TERM_FRAMES, 1, 1)), centre, np.zeros(1))
+    smooth, fixed = SmoothnessTerm(vertex_moments(np.zeros((1, 3))), 2e5), InteractionTerm(centre[0].copy(), 1e5)
+    chain = 2.0 * np.eye(TERM_FRAMES) - np.eye(TERM_FRAMES, k=1) - np.eye(TERM_FRAMES, k=-1)
+    chain[0, 0] = chain[-1, -1] = 1.0
+    expected = np.linalg.solve(1e5 * np.eye(TERM_FRAMES) + 2e5 * chain, 1e5 * centre[0])
+    found = minimise(
+        start, [smooth, fixed], np.tile(np.eye(4), (TERM_FRAMES, 1, 1)), 12, rules=DampingRules(tolerance=1e-12)
+    ).motion.centre[0]
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+ADAM_B, ADAM_N = 2, 4
+ADAM_T = se3.rigid(se3.exp_so3(np.random.default_rng(5).normal(size=(ADAM_N, 3))), np.zeros((ADAM_N, 3)))
+
+
+@dataclass(frozen=True)
+class MatchAxes:
+    """Squared distances of three points of the object to given ones."""
+
+    target: ndarray
+    stiffness: float = 1e4
+    name: str = "match"
+
+    def __call__(self, poses: PosesInCamera, bound: ndarray) -> Quadratic:
+        arm = poses.scale[:, None, None, None] * (0.1 * np.eye(3)) @ np.swapaxes(poses.R, -1, -2)
+        error = (poses.centre[:, :, None] + arm - self.target).reshape(*poses.centre.shape[:2], 9)
+        eye = np.broadcast_to(np.eye(3), (*arm.shape, 3))
+        J = np.concatenate([eye, -se3.hat(arm), arm[..., None]], axis=-1).reshape(*error.shape, 7)
+        return Quadratic.of_squares(error, J, self.stiffness)
+
+
+def motions() -> dict[str, Callable[[], Motion]]:
+    rng = np.random.default_rng(1)
+    R, centre, log_scale = (
+        se3.exp_so3(rng.normal(size=(ADAM_B, 3))),
+        rng.normal(0.0, 0.05, (ADAM_B, 3)),
+        np.zeros(ADAM_B),
+    )
+    fixed = Fixed(R, centre, log_scale, ADAM_N, free_scale=True)
+    held = fixed.poses()
+    hinge = Hinge(
+        R,
+        centre,
+        log_scale,
+        centre,
+        R[:, :, 2],
+        rng.normal(0.0, 0.2, (ADAM_B, ADAM_N)),
+        free_scale=True,
+        ridge=3.0,
+    )
+    return {
+        "fixed": lambda: fixed,
+        "free": lambda: Free(held.R.copy(), held.centre.copy(), log_scale, free_scale=True),
+        "hinge": lambda: hinge,
+        "hinge at its place": lambda: replace(hinge, free_location=False, free_scale=False),
+    }
+
+
+def target(motion: Motion, rng: np.random.Generator) -> MatchAxes:
+    """Where the first hypothesis' points come after a step."""
+    shared, local = motion.lengths()
+    step = [np.where(lengths, 0.01, 0.1) * rng.normal(size=(ADAM_B, *shape, len(lengths))) for lengths, shape in
+            ((shared, ()), (local, (ADAM_N,)))]  # fmt: skip
+    poses = solve.poses_in_camera(motion.retract(*step), ADAM_T)
+    arm = poses.scale[:, None, None, None] * (0.1 * np.eye(3)) @ np.swapaxes(poses.R, -1, -2)
+    return MatchAxes((poses.centre[:, :, None] + arm)[0])
+
+
+@pytest.mark.parametrize("kind", motions())
+def test_gradients_by_the_parameters(kind: str) -> None:
+    motion = motions()[kind]()
+    term, free, h = target(motion, np.random.default_rng(2)), np.full(ADAM_B, np.inf), 1e-6
+    g_shared, g_local = energy_gradient(motion, evaluate(motion, [term], ADAM_T, free).local, ADAM_T)
+    S, L = g_shared.shape[1], g_local.shape[2]
+    assert tuple(map(len, motion.lengths())) == (S, L)
+
+    def energy(shared: ndarray, local: ndarray) -> ndarray:
+        step = np.tile(shared, (ADAM_B, 1)), np.tile(local, (ADAM_B, 1, 1))
+        return evaluate(motion.retract(*step), [term], ADAM_T, free).cost
+
+    for k in range(S):
+        step = h * np.eye(S)[k], np.zeros((ADAM_N, L))
+        expected = (energy(*step) - energy(-step[0], step[1])) / (2.0 * h)
+        np.testing.assert_allclose(g_shared[:, k], expected, rtol=1e-4, atol=1e-4 * np.abs(g_shared).max())
+    for k in range(ADAM_N * L):
+        step = np.zeros(S), h * np.eye(ADAM_N * L)[k].reshape(ADAM_N, L)
+        expected = (energy(*step) - energy(step[0], -step[1])) / (2.0 * h)
+        np.testing.assert_allclose(
+            g_local.reshape(ADAM_B, -1)[:, k], expected, rtol=1e-4, atol=1e-4 * np.abs(g_local).max()
+        )
+
+
+@pytest.mark.parametrize("kind", motions())
+def test_it_comes_to_the_minimum_that_levenberg_marquardt_finds(kind: str) -> None:
+    motion = motions()[kind]()
+    term = target(motion, np.random.default_rng(3))
+    start = evaluate(motion, [term], ADAM_T, np.full(ADAM_B, np.inf)).cost
+    least = solve.minimise(motion, [term], ADAM_T, 100).energy
+    found = minimise_by_adam(motion, [term], ADAM_T, 100, 0.05)
+    assert found.status == [Status.FINISHED] * ADAM_B
+    assert (found.energy - least <= 0.05 * (start - least)).all()
+    np.testing.assert_allclose(sum(found.terms.values()), found.energy)
+    np.testing.assert_allclose(evaluate(found.motion, [term], ADAM_T, found.energy).cost, found.energy)
+
+
+def test_it_never_ends_worse_than_it_began() -> None:
+    motion = motions()["hinge"]()
+    term = target(motion, np.random.default_rng(4))
+    start = evaluate(motion, [term], ADAM_T, np.full(ADAM_B, np.inf)).cost
+    assert (minimise_by_adam(motion, [term], ADAM_T, 3, 5.0).energy <= start).all()  # a rate that leads astray
+
+
+def test_the_unit_of_energy_does_not_matter() -> None:
+    motion = replace(motions()["hinge"](), ridge=0.0)  # type: ignore[type-var]
+    term = target(motion, np.random.default_rng(6))
+    ends = [minimise_by_adam(motion, [replace(term, stiffness=s)], ADAM_T, 40, 0.02).motion.poses() for s in (1e3, 1e6)]
+    np.testing.assert_allclose(ends[0].centre, ends[1].centre, atol=1e-6)
+
+
+def test_an_object_behind_the_camera_is_lost() -> None:
+    @dataclass(frozen=True)
+    class Nowhere:
+        name: str = "nowhere"
+
+        def __call__(self, poses: PosesInCamera, bound: ndarray) -> Quadratic:
+            found = Quadratic.zero(poses)
+            found.value[0] = np.inf
+            return found
+
+    found = minimise_by_adam(motions()["fixed"](), [Nowhere()], ADAM_T, 2, 0.1)
+    assert found.status == [Status.INVISIBLE, Status.FINISHED]

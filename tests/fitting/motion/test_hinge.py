@@ -1,4 +1,4 @@
-"""Laws of motions made from others: the hinge nearest to a relaxed fit, a soft hinge around it, other frames."""
+"""Hinges from data: the hinge nearest to a relaxed fit, a soft hinge around it, and both at other frames."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
-"""Laws of the search's steps: which hypotheses go on, and where they are sent."""
+"""The search: duplicates, rotations, half turns, stages, and the thorough schedule."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -15,8 +16,10 @@ from getagrip.fitting.motion import Fixed
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import ObjectSurface
 from getagrip.fitting.solver.search import (
+    DEFAULT_SCHEDULE,
     GLOBAL_ROTATIONS,
     LOCAL_ROTATIONS,
+    THOROUGH_SCHEDULE,
     Rotations,
     Schedule,
     Search,
@@ -33,7 +36,7 @@ from getagrip.metrics.contact import signed_distance
 from getagrip.reconstruct import reconstruct
 from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
 from helpers.clips import box
-from helpers.scenes import SMALL, scene, scores
+from helpers.scenes import SHORT, SMALL, scene, scores
 
 CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)]) * [0.1, 0.06, 0.04] - [0.05, 0.03, 0.02]
 
@@ -104,7 +107,7 @@ def test_a_bottle_that_has_spun_is_the_same_and_one_that_was_tilted_is_not() -> 
     np.testing.assert_array_equal(suppress_duplicates(still.poses(), np.arange(4.0), surface, keep=9), [0, 3])
 
 
-def test_a_large_pan_that_has_turned_its_handle_elsewhere_is_another() -> None:
+def test_a_large_pan_with_its_handle_turned_is_no_duplicate() -> None:
     pan = SYNTHETIC_CATEGORIES["pan"]()
     surface = ObjectSurface.of(pan)
     R = se3.exp_so3(np.radians([[0.0, 0.0, a] for a in (0.0, 30.0, 60.0, 90.0, 180.0)]))
@@ -195,3 +198,22 @@ def test_thin_objects_are_found_though_their_energy_falls_late() -> None:
     clip, masks = scene("scissors", 7, replace(SMALL, frames=6))
     found = scores(reconstruct(clip, masks, Options(inits=30)), clip, masks)
     assert found["add_sym_mm"] < 5.0
+
+
+@pytest.mark.slow
+def test_the_longer_search_finds_no_worse_and_says_what_it_was() -> None:
+    usual, longer = (
+        reconstruct(*scene("mug", 2, SHORT), Options(inits=12, thorough=thorough)) for thorough in (False, True)
+    )
+    assert longer.energy["total"] < 1.01 * usual.energy["total"]
+    assert (usual.options["thorough"], longer.options["thorough"]) == (False, True)
+
+
+def test_the_longer_search_goes_through_the_same_stages_and_keeps_more() -> None:
+    short, long = ([*schedule.coarse, *schedule.fine] for schedule in (DEFAULT_SCHEDULE, THOROUGH_SCHEDULE))
+    for usual, longer in zip(short, long, strict=True):
+        assert (usual.name, usual.level, usual.frames) == (longer.name, longer.level, longer.frames)
+        assert longer.keep >= usual.keep
+        assert longer.within >= usual.within
+    assert sum(s.rounds * s.parents for s in long) > sum(s.rounds * s.parents for s in short)
+    assert all(a.keep >= b.keep for a, b in pairwise(long))

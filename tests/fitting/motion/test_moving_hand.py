@@ -1,4 +1,4 @@
-"""Laws of a hand solved with its object: Jacobian, prior, the hand held still, and hand and object found together."""
+"""A hand solved with its object: Jacobian, prior, the fixed hand, and hand and object found together."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def test_own_errors_are_correlated_in_time() -> None:
     np.testing.assert_allclose(np.linalg.inv(one), np.exp(-np.abs(np.subtract.outer(range(N), range(N))) / 5.0))
 
 
-def test_a_held_hand_is_the_motion_alone() -> None:
+def test_a_fixed_hand_is_the_motion_alone() -> None:
     """With nothing to move the hand, and nearly so where the prior is as stiff as can be."""
     rng = np.random.default_rng(4)
     hand, core = hand_before_the_camera(rng), soft_hinge(rng)

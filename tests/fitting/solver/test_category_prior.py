@@ -1,4 +1,4 @@
-"""What is usual of a kind: grasps with the handle on every side, upright, of the usual size; for own meshes alone."""
+"""The prior of an unmeasured object's category: grasps with the handle on every side, upright axis, and size."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def unmeasured(seed: int = 0, options: SceneOptions = SHORT) -> tuple[Clip, Mask
 @pytest.mark.parametrize(
     "change", [{"scale": "known"}, {"provenance": {"mesh": Source("scan.ply")}}, {"category": "x"}]
 )
-def test_a_measured_object_has_no_usual_grasps_and_terms(change: dict[str, object]) -> None:
+def test_a_measured_object_has_no_category_grasps_and_terms(change: dict[str, object]) -> None:
     clip = replace(unmeasured()[0], **change)
     assert unmeasured_kind(clip) is None
     assert len(category_rotations(clip)) == 0
@@ -75,7 +75,7 @@ def test_the_handle_is_tried_on_every_side(side: str) -> None:
         assert np.degrees(se3.angle_between(R, turned)).min() < 23.0
 
 
-def test_usual_rotations_are_the_first_and_at_most_half() -> None:
+def test_category_rotations_are_the_first_and_at_most_half() -> None:
     clip, masks = unmeasured()
     usual = category_rotations(clip)
     few, many = (initial_poses(clip, masks, count, usual=usual) for count in (10, 100))
@@ -85,7 +85,7 @@ def test_usual_rotations_are_the_first_and_at_most_half() -> None:
     np.testing.assert_array_equal(initial_poses(clip, masks, 10, usual=usual[:0]).R, initial_poses(clip, masks, 10).R)
 
 
-def test_only_what_is_nearly_upside_down_costs() -> None:
+def test_only_objects_nearly_upside_down_cost() -> None:
     axes = np.tile(np.array([0.0, 0.0, 1.0]), (N, 1, 1))
 
     def value(*turns: tuple[float, float, float]) -> np.ndarray:
@@ -186,7 +186,7 @@ def test_an_opening_that_points_away_from_the_camera_is_measured_and_said() -> N
     assert np.isnan(opening_angle(replace(clip, scale="known"), T))
 
 
-def test_only_what_has_a_handle_has_an_opposite_side() -> None:
+def test_only_objects_with_a_handle_have_an_opposite_side() -> None:
     clip = unmeasured()[0]
     for kind, turns in (("mug", 1), ("pan", 1), ("bottle", 0), ("plate", 0)):
         other = replace(clip, category=kind, mesh=SYNTHETIC_CATEGORIES[kind]())

@@ -1,4 +1,4 @@
-"""The smoothness term."""
+"""Smoothness and bending: values, derivatives, and motions that cost nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Initial poses from files and folders: whose they are, and what is wrong with them."""
+"""Initial poses: place and scale of uniform rotations, and prior poses from files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.clip import Clip, with_masks
+from getagrip.clip import FINGERS, Clip, Masks, with_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.fitting.methods.all_frames import make_initial_poses
 from getagrip.fitting.methods.homan import object_tracks
@@ -18,14 +18,85 @@ from getagrip.fitting.options import Init, Options, PriorsFile
 from getagrip.fitting.problem import prepare_problem
 from getagrip.fitting.solver import initial_poses as priors
 from getagrip.fitting.solver.cluster_poses import LearntGrasps, PosePriors, true_grasp_pose
-from getagrip.fitting.solver.initial_poses import initial_poses, read_initial_poses, read_learnt, read_priors_folder
+from getagrip.fitting.solver.initial_poses import (
+    grip_point,
+    initial_poses,
+    read_initial_poses,
+    read_learnt,
+    read_priors_folder,
+)
 from getagrip.fitting.stages.confidence import uncalibrated_reason
 from getagrip.geometry import se3
+from getagrip.geometry.camera import project
 from getagrip.geometry.mesh import Mesh
 from getagrip.io.terminal import format_count
+from getagrip.synthetic.scene import synthesise
+from getagrip.synthetic.scene_options import SceneOptions
 from helpers.clips import small_clip
 from helpers.environment import DATA, needs
 from helpers.measures import held, old_file, rotations
+
+
+@pytest.fixture(scope="module")
+def made() -> tuple[Clip, Masks]:
+    return synthesise("can", 0, SceneOptions(frames=6, scale="free"))
+
+
+def grip(clip: Clip) -> np.ndarray:
+    """The mean of the fingertips' contact regions, in the hand frame."""
+    return np.mean([clip.hand.vertices[:, clip.hand.regions[name]].mean(axis=(0, 1)) for name in FINGERS], axis=0)
+
+
+def projected(clip: Clip, point: np.ndarray) -> np.ndarray:
+    """Where a point of the hand frame is in each image [px]."""
+    at = se3.transform(clip.hand.T_cam_hand, point[None, None])[:, 0]
+    return np.array([project(K, x[None])[0] for K, x in zip(clip.K, at, strict=True)])
+
+
+@pytest.mark.slow
+def test_rays_through_the_grip_itself_give_the_grip(made: tuple[Clip, Masks]) -> None:
+    clip = made[0]
+    np.testing.assert_allclose(grip_point(clip.hand, clip.K, projected(clip, grip(clip))), grip(clip), atol=1e-9)
+
+
+def test_rays_pull_the_point_off_the_grip_but_not_all_the_way(made: tuple[Clip, Masks]) -> None:
+    clip = made[0]
+    target = grip(clip) + np.array([0.0, -0.05, 0.02])
+    uv = projected(clip, target)
+    start, found, end = (projected(clip, x) for x in (grip(clip), grip_point(clip.hand, clip.K, uv), target))
+    assert np.all(np.linalg.norm(found - end, axis=1) < 0.25 * np.linalg.norm(start - end, axis=1))
+    assert np.all(np.linalg.norm(found - end, axis=1) > 0.0)
+
+
+def test_the_camera_frame_does_not_matter(made: tuple[Clip, Masks]) -> None:
+    clip = made[0]
+    uv = projected(clip, grip(clip) + 0.03)
+    about_the_eye = se3.rigid(se3.exp_so3(np.array([0.0, 0.0, 0.4])))
+    R = about_the_eye[:2, :2]
+    turned = replace(clip, hand=replace(clip.hand, T_cam_hand=about_the_eye @ clip.hand.T_cam_hand))
+    centre = clip.K[:, :2, 2]
+    np.testing.assert_allclose(
+        grip_point(turned.hand, turned.K, (uv - centre) @ R.T + centre), grip_point(clip.hand, clip.K, uv), atol=1e-9
+    )
+
+
+def test_a_free_scale_gives_the_same_size_for_any_unit_of_the_mesh(made: tuple[Clip, Masks]) -> None:
+    clip, masks = made
+    assert clip.truth is not None
+    doubled = replace(clip, mesh=replace(clip.mesh, vertices=2.0 * clip.mesh.vertices))
+    one, other = (np.exp(initial_poses(c, masks, 3).log_scale) for c in (clip, doubled))
+    np.testing.assert_allclose(one, 2.0 * other)
+    assert np.all(np.abs(np.log(one / clip.truth.scale)) < np.log(1.5))
+
+
+@pytest.mark.slow
+def test_rotations_are_nearly_uniform(made: tuple[Clip, Masks]) -> None:
+    for seed in (0, 7):
+        R = initial_poses(*made, 400, seed).R
+        np.testing.assert_allclose(R.mean(axis=0), 0.0, atol=0.02)
+        angles = se3.angle_between(R[:, None], R[None]) + 10.0 * np.eye(400)
+        assert angles.min(axis=1).max() < 2.5 * angles.min(axis=1).min()
+
 
 REAL = DATA / "epic" / "pose_priors"
 
@@ -82,7 +153,7 @@ def test_a_file_of_the_first_version_is_refused_for_own_grasps(tmp_path: Path, r
         assert notes == ("started from 3 poses of poses.npz, and 9 uniform rotations",)
 
 
-def test_an_object_without_poses_starts_from_even_rotations_and_the_result_says_so(tmp_path: Path) -> None:
+def test_an_object_without_poses_starts_from_uniform_rotations_and_the_result_says_so(tmp_path: Path) -> None:
     options = poses_file(tmp_path / "poses.npz", held("a", "Ann"))
     clip, masks = replace(held("b", "Bob"), side="left"), small_clip()[1]
     problem = prepare_problem(with_masks(clip, masks), options)
@@ -91,7 +162,7 @@ def test_an_object_without_poses_starts_from_even_rotations_and_the_result_says_
     assert np.array_equal(starts.R, initial_poses(clip, masks, 12).R)
 
 
-def test_given_poses_come_first_then_even_rotations() -> None:
+def test_prior_poses_come_first_then_uniform_rotations() -> None:
     clip, masks = small_clip()
     clip = replace(clip, mesh=Mesh(clip.mesh.vertices + np.array([0.0, 0.1, 0.0]), clip.mesh.faces))
     poses = se3.rigid(rotations(3), np.array([0.01, 0.02, 0.03]))
@@ -105,7 +176,7 @@ def test_given_poses_come_first_then_even_rotations() -> None:
 
 
 @pytest.mark.slow
-def test_given_poses_may_stand_alone(tmp_path: Path, refused: Callable[..., str]) -> None:
+def test_prior_poses_may_be_used_alone(tmp_path: Path, refused: Callable[..., str]) -> None:
     """At most as many as ``inits``, and no uniform ones; an object without any is an error, not a uniform search."""
     filled = poses_file(tmp_path / "poses.npz", held("a", "Ann"), held("b", "Bob", 1))
     assert filled.priors is not None
@@ -237,7 +308,7 @@ def test_starts_without_their_file_and_files_without_use_are_wrong(init: Init) -
 
 
 @pytest.mark.parametrize("init", ["clusters", "priors"])
-def test_what_is_not_there_is_named(tmp_path: Path, refused: Callable[..., str], init: Init) -> None:
+def test_missing_files_are_named(tmp_path: Path, refused: Callable[..., str], init: Init) -> None:
     refused(lambda: priors.priors_checksum(tmp_path / "nothing", init), "nothing")
 
 

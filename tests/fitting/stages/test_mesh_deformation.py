@@ -1,4 +1,4 @@
-"""A mesh that is only of the object's kind gets the object's shape; the object's own stays as it is."""
+"""The mesh fit, and the misfit that calls for it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Masks, with_masks
+from getagrip.fitting.energy import PosesInCamera
+from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh, observe_masks
 from getagrip.fitting.methods import all_frames
 from getagrip.fitting.methods.all_frames import coarse_energy, misfit_of, search_of
 from getagrip.fitting.motion import Fixed, PosesInHand, Soft
@@ -21,8 +23,10 @@ from getagrip.fitting.stages.mesh_deformation import (
     MIN_MESH_MISFIT,
     fit_shape,
     relative_contour_error,
+    stiffen_ridge,
 )
 from getagrip.geometry import se3
+from getagrip.geometry.kernels.silhouette import silhouettes, unpack
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.warp import Warp
 from getagrip.provenance import Source, assumed
@@ -31,6 +35,7 @@ from getagrip.report.pictures.result_view import View
 from getagrip.result import read_result, write_result
 from getagrip.synthetic.objects import misfit as unlike
 from getagrip.synthetic.scene import ground_truth_masks, make_scene
+from helpers.clips import box
 from helpers.scenes import SMALL, scene, scores
 
 STRETCH = np.array([1.15, 0.88, 1.0])
@@ -81,13 +86,13 @@ def test_sides_of_a_built_in_box_stay_flat(known: bool) -> None:
     assert (np.abs(off).max() < 0.004 * mesh.diameter) != known
 
 
-def test_the_objects_own_mesh_is_believed() -> None:
+def test_the_objects_own_mesh_is_kept() -> None:
     clip, masks = scene("mug", 0)
     assert shape_at_truth(clip, masks) is None
     assert shape_at_truth(stretched(clip), masks, misfit=0.9 * MIN_MESH_MISFIT) is None
 
 
-def test_a_motion_that_is_not_fitted_yet_is_no_reason_to_doubt_the_mesh() -> None:
+def test_a_motion_that_is_not_fitted_yet_does_not_deform_the_mesh() -> None:
     clip, masks = scene("mug", 0)
     problem, frames = prepare_problem(with_masks(clip, masks), Options()), np.arange(len(clip))
     true = at_truth(problem)
@@ -101,7 +106,7 @@ def test_a_motion_that_is_not_fitted_yet_is_no_reason_to_doubt_the_mesh() -> Non
     assert misfit_of(problem, search_of(problem, lambda stage: None), rough.motion) < MIN_MESH_MISFIT
 
 
-def test_a_shape_that_is_nearly_the_meshs_own_is_believed_to_be(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_shape_near_the_mesh_is_taken_for_the_meshs_own(monkeypatch: pytest.MonkeyPatch) -> None:
     clip, masks = scene("mug", 0)
     warp = shape_at_truth(stretched(clip), masks)
     assert warp is not None
@@ -161,10 +166,56 @@ def test_a_result_has_the_shape_and_says_so(tmp_path: Path, method: str) -> None
 
 
 @pytest.mark.slow
-def test_a_hinge_that_explains_the_masks_is_as_with_the_mesh_as_given(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hinge_that_explains_the_masks_keeps_the_input_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
     clip, masks = scene("mug", 0)
     as_given = reconstruct(clip, masks, Options(method="one-dof", inits=8, mesh="as-given"))
     monkeypatch.setattr(all_frames, "coarse_fit", None)  # the soft fit of another shape is not even begun
     fitted = reconstruct(clip, masks, Options(method="one-dof", inits=8))
     np.testing.assert_array_equal(fitted.T_hand_obj, as_given.T_hand_obj)
     assert fitted.energy == as_given.energy
+
+
+FRAMES = 8
+HELD = box(0.1, 0.06, 0.04)
+
+
+def misfit_at_truth(pixels: int, fitted: Mesh = HELD) -> float:
+    """The misfit of a mesh at the true poses of a box, in images of so many pixels."""
+    rng = np.random.default_rng(0)
+    R = se3.exp_so3(rng.normal(size=(FRAMES, 3)))
+    centre = np.array([0.0, 0.0, 0.5]) + rng.uniform(-0.02, 0.02, (FRAMES, 3))
+    f, c = 1.4 * pixels, 0.5 * pixels
+    t = SilhouetteMesh.of(HELD, np.zeros(3))
+    bits = np.empty((FRAMES, pixels, -(-pixels // 64)), np.uint64)
+    silhouettes(R, centre, np.ones(FRAMES), *t.tables, np.tile([f, f, c, c], (FRAMES, 1)), bits)
+    seen = unpack(bits, pixels)
+    K = np.tile([[f, 0.0, c], [0.0, f, c], [0.0, 0.0, 1.0]], (FRAMES, 1, 1))
+    observation = observe_masks(Masks(seen, np.zeros_like(seen)), K)
+    term = MaskTerm(SilhouetteMesh.of(fitted, np.zeros(3)), observation, level=64)
+    poses = PosesInCamera(R[None], centre[None], np.ones(1))
+    return relative_contour_error(observation, float(term(poses, np.full(1, np.inf)).value.mean()))
+
+
+@pytest.mark.parametrize("pixels", [320, 640, 1280])
+def test_the_objects_own_mesh_leaves_no_more_than_pixels_do(pixels: int) -> None:
+    assert misfit_at_truth(pixels) < 1.2
+
+
+def test_a_template_mesh_leaves_more() -> None:
+    wide = Mesh(HELD.vertices * [1.0, 1.2, 1.0], HELD.faces)
+    wider = Mesh(HELD.vertices * [1.0, 1.4, 1.0], HELD.faces)
+    assert 1.5 < misfit_at_truth(640, wide) < misfit_at_truth(640, wider)
+
+
+def test_deviations_get_stiffer_where_masks_are_explained_worse() -> None:
+    ridge = (1.5e6, 1e4)
+    assert stiffen_ridge(ridge, 0.3) == stiffen_ridge(ridge, 1.0) == ridge
+    once, twice = stiffen_ridge(ridge, 2.0), stiffen_ridge(ridge, 4.0)
+    assert ridge < once < twice
+    assert once[0] / once[1] == pytest.approx(ridge[0] / ridge[1])
+
+
+def test_where_no_contour_is_seen_nothing_is_known() -> None:
+    everything = np.ones((2, 40, 40), dtype=bool)
+    K = np.tile([[50.0, 0.0, 20.0], [0.0, 50.0, 20.0], [0.0, 0.0, 1.0]], (2, 1, 1))
+    assert relative_contour_error(observe_masks(Masks(everything, np.zeros_like(everything)), K), 100.0) == 1.0
