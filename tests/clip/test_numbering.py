@@ -10,10 +10,7 @@ def names(first: int, last: int, form: str = "{:06d}") -> list[str]:
     return [form.format(n) for n in range(first, last + 1)]
 
 
-@pytest.mark.parametrize(
-    ("first", "last"),
-    [(0, 29), (0, 24), (0, 400), (1, 25), (2, 31), (20, 40)],
-)
+@pytest.mark.parametrize(("first", "last"), [(0, 29), (0, 24), (0, 400), (1, 25), (2, 31), (20, 40)])
 def test_numbers_that_fit_by_luck_are_asked_for(first: int, last: int) -> None:
     frames = names(6, 30) if first < 2 else names(1, 30)
     for form in ("{:06d}", "{:06d}_0", "frame_{:010d}"):

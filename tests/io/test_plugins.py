@@ -64,11 +64,7 @@ def test_names_are_known_and_objects_loaded_when_asked_for(install: Install, tmp
     ],
 )
 def test_a_broken_one_is_named_and_left_out(
-    install: Install,
-    capsys: pytest.CaptureFixture[str],
-    request: pytest.FixtureRequest,
-    code: str,
-    why: str,
+    install: Install, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest, code: str, why: str
 ) -> None:
     module = f"torn{request.node.callspec.indices['code']}"
     install(module, "0.1", code, numbers=f"twelve = {module}:TWELVE")

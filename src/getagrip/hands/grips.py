@@ -131,7 +131,7 @@ CATEGORY_PRIORS: dict[str, CategoryPrior] = {
         (
             Grip("palm", (0.145, 0, 0.013), (0, 0.5, -1), (-1, 0, 0)),  # by the filter's handle
             Grip("palm", (-0.055, 0, -0.01), (1, 0, 0), (0, 0, 1)),  # by the column
-        ),
+        )
     ),
     "kettle": CategoryPrior((Grip("palm", (0.127, 0, 0.085), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
     "ketchup": CategoryPrior((Grip("palm", (0, 0, 0.02), (1, 0, 0), (0, 0, 1)),)),
