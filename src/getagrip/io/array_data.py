@@ -33,7 +33,7 @@ class Brief:
 
     def __init_subclass__(cls) -> None:
         """Set the class's ``repr``, which ``dataclass`` keeps."""
-        cls.__repr__ = lambda self: summarise_dataclass(self)  # type: ignore  # noqa: PLW0108, PGH003
+        cls.__repr__ = lambda self: summarise_dataclass(self)  # type: ignore[method-assign]  # noqa: PLW0108
 
     def _repr_html_(self) -> str:
         return str(view("render_html")(self))
