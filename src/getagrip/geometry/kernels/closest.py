@@ -1,7 +1,7 @@
 """Fast signed distance to a rigid mesh: a coarse grid stores a near face per node, and the distance to it is exact.
 
 Fingers are never far from the object, so a grid of about 10^5 nodes around it suffices. Interpolated distances would
-round off walls thinner than the grid's cells (a mug's, a plate's); the exact distance to the nearest of the faces 
+round off walls thinner than the grid's cells (a mug's, a plate's); the exact distance to the nearest of the faces
 stored at the nodes around a point does not. The sign is that of the pseudonormal of the nearest face, edge or corner
 (Baerentzen and Aanaes, "Signed Distance Computation Using the Angle Weighted Pseudonormal", 2005): by the faces' own
 normals, points far off a thin edge, a spoon's, would lie deep inside. ``signed_distance`` in tests/helpers/kernels.py
