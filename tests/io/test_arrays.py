@@ -1,9 +1,11 @@
-"""Small files that would be vast in memory, or never done with, and damaged ones: each ends as an ``InputError``."""
+"""Arrays of untrusted files: numbers that cannot be right, and files that are small and unpack to much."""
 
 from __future__ import annotations
 
 import json
+import signal
 import sqlite3
+import warnings
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,12 +20,13 @@ from PIL import Image
 from fuzz.containers import glb, glb_parts
 from getagrip.clip import read_clip
 from getagrip.clip.read import read_header
-from getagrip.errors import InputError
+from getagrip.errors import InputError, UsageError
 from getagrip.fitting.solver.initial_poses import read_learnt
 from getagrip.geometry.mesh_files import obj, read_mesh
 from getagrip.geometry.mesh_files.obj import parse_obj
 from getagrip.hands import mano
-from getagrip.io import arrays, files
+from getagrip.io import arrays, files, processes
+from getagrip.io.arrays import convert_to_input_errors
 from getagrip.readers import footage, streams
 from getagrip.readers.datasets.dexycb.dexycb_files import read_yaml
 from getagrip.readers.datasets.epic import epic_images
@@ -32,6 +35,70 @@ from getagrip.readers.masks.mask_request import MaskRequest
 from getagrip.readers.masks.mask_sources import open_masks
 from getagrip.readers.trackers import records
 from getagrip.studio.store.mark_store import MarkStore
+
+
+class Stop(BaseException):
+    """As trio's, or pytest's own."""
+
+
+@pytest.fixture(autouse=True)
+def _as_in_the_program() -> Iterator[None]:
+    before = signal.getsignal(signal.SIGINT)
+    processes.raise_on_interrupt()
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_where_interrupts_are_not_known_apart_they_stay() -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with pytest.raises(KeyboardInterrupt), convert_to_input_errors(Path("a.txt")):
+        raise KeyboardInterrupt
+
+
+def leaves(error: BaseException) -> Callable[[], object]:
+    def raising() -> None:
+        raise error
+
+    return raising
+
+
+@pytest.mark.parametrize(
+    ("work", "says"),
+    [
+        (lambda: np.zeros(4) / np.linalg.norm(np.zeros(4)), "invalid value encountered"),
+        (lambda: np.array([1e300]) ** 2, "overflow"),
+        (lambda: np.ones(1, complex).astype(float), "imaginary"),
+        (lambda: float(10**400), "OverflowError"),
+        (lambda: {}["a"], "KeyError"),
+        (lambda: np.mean(np.zeros(0)), "empty"),
+        (leaves(RecursionError("deep")), "RecursionError: deep"),
+        (leaves(Stop("stopped")), "Stop: stopped"),
+        (leaves(SystemExit(3)), "SystemExit: 3"),
+        (leaves(KeyboardInterrupt()), "KeyboardInterrupt"),  # nobody has pressed a key
+    ],
+)
+def test_what_goes_wrong_names_the_file(work: Callable[[], object], says: str) -> None:
+    before = list(warnings.filters)
+    with (
+        pytest.raises(InputError, match=r"^a\.txt must be as its program writes it") as caught,
+        convert_to_input_errors(Path("a.txt")),
+    ):
+        work()
+    assert says in str(caught.value)
+    assert list(warnings.filters) == before
+
+
+@pytest.mark.parametrize("error", [UsageError("a"), InputError("b.txt", "", "c", "d"), FileNotFoundError("e")])
+def test_what_says_enough_stays_as_it_is(error: Exception) -> None:
+    with pytest.raises(type(error)) as caught, convert_to_input_errors(Path("a.txt")):
+        raise error
+    assert caught.value is error
+
+
+def test_an_interrupt_stays_one() -> None:
+    with pytest.raises(KeyboardInterrupt), convert_to_input_errors(Path("a.txt")):
+        signal.raise_signal(signal.SIGINT)
+
 
 PATH = Path("a.file")
 LONG = 4_000_000

@@ -1,4 +1,4 @@
-"""Frames without a mask: not known, which is no sign that the object is not there."""
+"""Masks of a clip: unknown ones, and pixels hidden by hands."""
 
 from __future__ import annotations
 
@@ -10,9 +10,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from getagrip.clip import Clip, Masks, find_masks, input_sha256, read_clip, read_masks, read_observed, write_clip
+from getagrip.clip import (
+    Clip,
+    Masks,
+    find_masks,
+    input_sha256,
+    read_clip,
+    read_masks,
+    read_observed,
+    with_masks,
+    write_clip,
+)
 from getagrip.clip.clip import FrameMasks
 from getagrip.clip.masks import occluded_by_hand
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import prepare_problem
+from getagrip.geometry import se3
+from getagrip.geometry.rasterize import depth_and_face
 from helpers.clips import small_clip
 
 GONE = [1, 3]
@@ -80,3 +94,26 @@ def test_the_drawn_hand_does_not_make_it_known() -> None:
     whole = occluded_by_hand(clip, Masks(masks.object, np.zeros_like(masks.ignore)))
     rest = [0, 2, 4]
     np.testing.assert_array_equal(np.asarray(drawn.ignore)[rest], np.asarray(whole.ignore)[rest])
+
+
+def test_what_is_hidden_is_the_hand_but_for_the_object() -> None:
+    clip, masks = small_clip(3)
+    hidden = occluded_by_hand(clip, masks)
+    for n, vertices in enumerate(se3.transform(clip.hand.T_cam_hand, clip.hand.vertices)):
+        hand = depth_and_face(vertices, clip.hand.faces, clip.K[n], clip.size)[1] >= 0
+        np.testing.assert_array_equal(hidden.ignore[n] | (hand & masks.object[n]), hand)
+    assert hidden.ignore.any()
+    assert not (hidden.ignore & masks.object).any()
+    assert hidden.object is masks.object
+
+
+def test_the_hand_is_drawn_only_where_no_mask_says_what_is_hidden() -> None:
+    clip, masks = small_clip(3)
+    silent = Masks(masks.object, np.zeros_like(masks.ignore))
+    assert any("rendered hand" in note for note in prepare_problem(with_masks(clip, silent), Options()).notes)
+    marked = Masks(masks.object, silent.ignore.copy())
+    marked.ignore[0, 0, 0] = True
+    for given, options in ((marked, Options()), (silent, replace(Options(), occlusion=False))):
+        problem = prepare_problem(with_masks(clip, given), options)
+        assert not any("rendered hand" in note for note in problem.notes)
+        np.testing.assert_array_equal(problem.masks.ignore, given.ignore)

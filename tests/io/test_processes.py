@@ -19,9 +19,13 @@ STARTED = {
         "from types import SimpleNamespace; from getagrip.studio.jobs import run_command; "
         "assert run_command(['--version'], SimpleNamespace(done=0, total=0, report=print)).startswith('getagrip ')"
     ),
-    "pip": "from getagrip.studio.hands import networks; from pathlib import Path; networks._download_wheel(Path({folder!r}))",
+    "pip": (
+        "from getagrip.studio.hands import networks; from pathlib import Path; "
+        "networks._download_wheel(Path({folder!r}))"
+    ),
     "processes of a batch": (
-        "from getagrip.batch.executor import run_in_processes; assert [*run_in_processes(len, ['abc'], 1)] == [('abc', 3)]"
+        "from getagrip.batch.executor import run_in_processes; "
+        "assert [*run_in_processes(len, ['abc'], 1)] == [('abc', 3)]"
     ),
 }
 
