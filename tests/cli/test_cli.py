@@ -259,10 +259,7 @@ def test_help_shows_what_may_be_left_out_and_what_a_root_may_be(run: Run) -> Non
 
 @pytest.mark.parametrize(
     ("args", "words"),
-    [
-        (("--K", "1000", "1000", "960"), "Expected 4 values"),
-        (("--side", "l"), "Expected one of ('left', 'right')"),
-    ],
+    [(("--K", "1000", "1000", "960"), "Expected 4 values"), (("--side", "l"), "Expected one of ('left', 'right')")],
 )
 def test_wrong_values_are_explained_without_types(run: Run, args: tuple[str, ...], words: str, tmp_path: Path) -> None:
     status, _, err = run("clip", "new", "v.mp4", "--out", tmp_path / "clip", *args)

@@ -23,13 +23,7 @@ from getagrip.metrics.contact import contact_distances
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.report.pictures.panels import RESULT_COLOUR
 from getagrip.stable_grasps.definition import Definition
-from getagrip.stable_grasps.find import (
-    ARTICULATION_THRESHOLD_RAD,
-    assign_fragments,
-    contact_iou,
-    contact_sets,
-    segment,
-)
+from getagrip.stable_grasps.find import ARTICULATION_THRESHOLD_RAD, assign_fragments, contact_iou, contact_sets, segment
 from helpers.clips import box, small_clip
 from helpers.environment import Run
 from helpers.pages import pixels_of, read_picture

@@ -9,13 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.bench.tables import (
-    DatasetCounts,
-    GraspDuration,
-    count_epic_grasps,
-    durations_by_category,
-    epic_durations,
-)
+from getagrip.bench.tables import DatasetCounts, GraspDuration, count_epic_grasps, durations_by_category, epic_durations
 from getagrip.readers.datasets.epic.epic_tables import read_grasps
 from getagrip.stable_grasps import grasp_lists
 from helpers.environment import DATA, needs
