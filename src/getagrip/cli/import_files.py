@@ -143,7 +143,7 @@ class ImportMasks(Command):
 
 
 def report_masks(reader: MaskReader, frames: tuple[str, ...], visible: int) -> int:
-    """Warn about frames without masks, and print the reader's notes; return 3 with warnings about the masks, else 0."""
+    """Print warnings about masks and frames without masks; return 3 if masks are probably wrong, else 0."""
     for note, count in reader.notes.items():
         warn(f"{reader.source}: {note}: {count}")
     if missing := [name for n, name in enumerate(frames) if n not in reader.known]:
