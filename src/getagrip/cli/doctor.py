@@ -155,9 +155,8 @@ def _requirements() -> Iterator[tuple[str, str, str]]:
 
 
 def _check_library(name: str, least: str, otherwise: str, advice: str) -> Line:
-    try:
-        version = metadata.version(name)
-    except metadata.PackageNotFoundError:
+    version = _installed_version(name)
+    if version is None:
         return otherwise, f"{name} {least} or later; {advice}"
     if _version_numbers(version) < _version_numbers(least):
         return otherwise, f"{name} {least} or later, here is {version}; {advice}"
@@ -249,6 +248,13 @@ def _check_estimators() -> Iterator[Line]:
         else:
             what = f"draft --{one.makes} {name}"
             yield ("ok", f"{what}: {' '.join(words)}") if words else ("without", f"{what}; {setup_advice(name)}")
+
+
+def _installed_version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
 
 
 def _version_numbers(version: str) -> list[int]:
