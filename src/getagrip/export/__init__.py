@@ -1,4 +1,4 @@
-"""Exports: results in other programs' formats, a module each."""
+"""Results in other programs' formats."""
 
 from __future__ import annotations
 

@@ -116,10 +116,10 @@ def test_a_broken_result_does_not_hide_the_others(root: Path, tmp_path: Path) ->
     broken = tmp_path / "broken"
     broken.mkdir()
     (broken / "result.json").write_text("{", "utf-8")
-    told: list[Exception] = []
-    listed = group_entries([broken, root / "results" / "one-dof" / "bad"], [], None, told.append)
+    errors: list[Exception] = []
+    listed = group_entries([broken, root / "results" / "one-dof" / "bad"], [], None, errors.append)
     assert [entry.label for entry in listed] == ["bad, IOU 40 %"]
-    assert str(broken) in str(told[0])
+    assert str(broken) in str(errors[0])
 
 
 def test_the_command_refuses_what_it_cannot_show(run: Run, tmp_path: Path) -> None:
