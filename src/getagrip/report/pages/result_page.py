@@ -66,7 +66,7 @@ SCRIPT_ESCAPES = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\
 def build_document(
     title: str, body: str, scripts: Sequence[str], data: Mapping[str, object], asks: bool = False
 ) -> str:
-    """Build a page of the files ``body`` and ``scripts`` of ``parts/``; data may come from its server if it ``asks``."""
+    """Build a page of the files ``body`` and ``scripts`` of ``parts/``; a server adds data if the page ``asks``."""
     style = _read_page_part("page.css")
     codes = [_read_page_part(name) for name in scripts]
     asking = "; connect-src 'self'" if asks else ""
