@@ -1,4 +1,4 @@
-"""A page is one file: what strangers wrote stays text in it, and only its own scripts and styles may run."""
+"""A page is one file whose texts stay texts; its folded tables and arrays hold what is known."""
 
 from __future__ import annotations
 
@@ -7,14 +7,28 @@ import hashlib
 import json
 import re
 import zlib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from getagrip.clip import OtherHand
+from getagrip.geometry import se3
+from getagrip.metrics.evaluate.results import Evaluation
+from getagrip.report.pages import scene_data
 from getagrip.report.pages.index_page import IndexRow, _result_sets, write_index
-from getagrip.report.pages.result_page import ARRAY_TYPE_CODES, build_document, json_for_script, pack_arrays
+from getagrip.report.pages.result_page import (
+    ARRAY_TYPE_CODES,
+    build_document,
+    json_for_script,
+    pack_arrays,
+    result_tables,
+)
+from getagrip.report.pictures.contact_colours import subdivide_object, surface_gap
+from getagrip.report.pictures.result_view import View
+from helpers.scenes import egg_and_mug, perfect
 
 texts = st.one_of(st.text(), st.sampled_from(["</script>", "<!--", "<script>", "&lt;", "\u2028", "]]>"]))
 values = texts | st.none() | st.booleans() | st.integers(-(2**40), 2**40) | st.lists(texts, max_size=3)
@@ -66,3 +80,51 @@ def test_results_are_grouped_by_the_folders_that_differ(tmp_path: Any) -> None:
     assert _result_sets(["x", "more/y"]) == ["", "more"]
     page = write_index([IndexRow("a b/ü#?", page=True)], "all", (), tmp_path / "index.html").read_text("utf-8")
     assert '"link":"./a%20b/%C3%BC%23%3F/report.html"' in page
+
+
+def test_checks_have_their_usual_range_and_a_verdict() -> None:
+    clip, masks = egg_and_mug()
+    checks = {
+        "hand-side": 68.46,
+        "visible-size": float("nan"),
+        "contact-gap": 20.0,
+        "penetration": 40.0,
+        "unknown": 1.0,
+    }
+    result = replace(perfect(clip), checks=checks)
+    known = Evaluation.recorded(clip, "static", {})
+    (table,) = (
+        one for one in result_tables(View.of(result, clip, masks), known, {}) if one["title"].startswith("Checks")
+    )
+    assert table["head"] == ("check", "value", "usual", "verdict")
+    assert table["rows"] == [
+        ["hand-side", "68.5 degrees", "at least -5 degrees", "usual"],
+        ["visible-size", "", "0.1 to 8", "not applicable"],
+        ["contact-gap", "20 mm", "at most 15 mm", "serious"],
+        ["penetration", "40 mm", "at most 35 mm", "note"],
+        ["unknown", "1", "", ""],
+    ]
+
+
+def test_what_the_other_hand_touches_is_touched() -> None:
+    """A clip whose own hand is far away, and whose other hand holds the object, as far as it is known."""
+    clip, _ = egg_and_mug()
+    result, known = perfect(clip), np.array([0, 2])
+    aside = se3.rigid(t=np.array([-0.5, 0.0, 0.0])) @ clip.hand.T_cam_hand
+    given = replace(
+        clip, side="left", hand=replace(clip.hand, T_cam_hand=aside), truth=None,
+        other_hand=OtherHand.at(clip.hand.take(known), known, len(clip)),
+    )  # fmt: skip
+    moved = replace(result, T_hand_obj=se3.inverse(aside) @ clip.hand.T_cam_hand @ result.T_hand_obj)
+    one, both = View.of(result, clip, None), View.of(moved, given, None)
+    gaps = surface_gap(both)
+    np.testing.assert_allclose(gaps[known], surface_gap(one)[known], atol=1e-9)
+    assert gaps[[1, 3, 4]].min() > 0.1
+    surface = subdivide_object(one)
+    alone, found = scene_data.per_frame_arrays(one, surface), scene_data.per_frame_arrays(both, surface)
+    assert alone["hand_near"][known].max() == 255
+    for name, of in (("object_near", "object_near"), ("other_hand_near", "hand_near")):
+        np.testing.assert_array_equal(found[name][known], alone[of][known])
+        assert found[name][[1, 3, 4]].max() == 0
+    assert found["hand_near"].max() == 0
+    assert scene_data.constant_arrays(both, surface)["other_hand_known"].tolist() == [1, 0, 1, 0, 0]

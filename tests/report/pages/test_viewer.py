@@ -1,4 +1,4 @@
-"""What a served page gets: the same as a page that holds all of it, frame by frame; and who gets it."""
+"""The served pages: their entries in order, the answers to a page, and who gets them."""
 
 from __future__ import annotations
 
@@ -16,22 +16,118 @@ from typing import Any
 import numpy as np
 import pytest
 
+from getagrip.cli.report import find_results_and_clips
 from getagrip.clip import input_sha256, write_clip
 from getagrip.errors import UsageError
 from getagrip.metrics.evaluate.results import Evaluation
 from getagrip.report.pages import viewer
 from getagrip.report.pages.result_page import write_page
-from getagrip.report.pages.viewer import GROUND_TRUTH_LABEL, ViewerLibrary, ViewerServer, group_entries
+from getagrip.report.pages.viewer import (
+    GROUND_TRUTH_LABEL,
+    ViewerLibrary,
+    ViewerServer,
+    entry_severity_key,
+    group_entries,
+    label_views,
+)
 from getagrip.report.pictures.result_view import View
 from getagrip.report.serving import LOOPBACK
-from getagrip.result import read_result_record, write_result
-from helpers.results import two_candidates
+from getagrip.result import Reconstruction, read_result_record, write_result
+from getagrip.result.findings import Finding
+from helpers.environment import Run
+from helpers.results import two_candidates, view
 
-pytestmark = pytest.mark.slow
+SERIOUS = Finding("contact-gap", True, 40.0, 15.0, "they are far apart")
 
 
 def never(error: Exception) -> None:
     raise error
+
+
+def result(iou: float, *findings: Finding) -> Reconstruction:
+    made = two_candidates()[0]
+    return replace(made, iou=np.full(len(made.frames), iou), findings=findings)
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: Any) -> Path:
+    """Two clips; results of two methods for the one, of one method for the other; nothing is changed by tests."""
+    made: Path = tmp_path_factory.mktemp("entries")
+    _, clip, masks = two_candidates()
+    for name, iou, methods in (("good", 0.9, ("one-dof", "static")), ("bad", 0.4, ("one-dof",))):
+        folder = write_clip(replace(clip, name=name), masks, made / "clips" / name)
+        for method in methods:
+            one = replace(result(iou), clip=name, method=method)
+            write_result(one, made / "results" / method / name, input_sha256(folder), clip_folder=folder)
+    return made
+
+
+def test_serious_findings_come_first_and_then_the_lowest_iou() -> None:
+    given = {"fine": result(0.9), "poor": result(0.3), "flagged": result(0.95, SERIOUS)}
+    assert sorted(given, key=lambda name: entry_severity_key([given[name]])) == ["flagged", "poor", "fine"]
+
+
+@pytest.mark.slow
+def test_a_folder_of_methods_is_listed_by_clip_the_worst_first(root: Path) -> None:
+    problems: list[Exception] = []
+    results, clips = find_results_and_clips([root / "results"], problems)
+    assert (len(results), clips, problems) == (3, [], [])
+    bad, good = group_entries(results, clips, None, never)
+    assert bad.label == "bad, IOU 40 %"
+    assert good.label == "good, IOU 90 %, 2 results"
+    assert [column.label for column in good.read()] == ["1-DoF, ours", "Static"]
+    assert good.read()[0].view.clip.name == "good"
+
+
+def test_results_and_clips_may_be_named_in_any_way(root: Path) -> None:
+    problems: list[Exception] = []
+    results, clips = find_results_and_clips(
+        [root / "results" / "one-dof", root / "results" / "static" / "good"], problems
+    )
+    assert [entry.label for entry in group_entries(results, clips, None, never)] == [
+        "bad, IOU 40 %",
+        "good, IOU 90 %, 2 results",
+    ]
+    results, clips = find_results_and_clips([root / "clips"], problems)
+    assert results == []
+    assert [entry.read()[0].label for entry in group_entries(results, clips, None, never)] == [
+        GROUND_TRUTH_LABEL,
+        GROUND_TRUTH_LABEL,
+    ]
+    assert find_results_and_clips([root / "clips" / "bad"], problems)[1] == [root / "clips" / "bad"]
+    assert problems == []
+    find_results_and_clips([root / "clips" / "bad" / "masks", root / "nowhere"], problems)
+    assert ["no such folder" in str(problem) for problem in problems] == [False, True]
+
+
+def test_results_of_one_method_are_told_apart_by_their_folders() -> None:
+    one = view()
+    static = replace(one, result=replace(one.result, method="static"))
+    method = "1-DoF, ours"
+    assert label_views([one, one, static], ["a", "b", "c"]) == [f"{method} (a)", f"{method} (b)", "Static"]
+
+
+def test_entries_of_the_same_words_are_numbered(root: Path) -> None:
+    again = group_entries([], [root / "clips" / "bad", root / "results" / ".." / "clips" / "bad"], None, never)
+    assert [entry.label for entry in again] == ["1. bad", "2. bad"]
+
+
+def test_a_broken_result_does_not_hide_the_others(root: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    (broken / "result.json").write_text("{", "utf-8")
+    errors: list[Exception] = []
+    listed = group_entries([broken, root / "results" / "one-dof" / "bad"], [], None, errors.append)
+    assert [entry.label for entry in listed] == ["bad, IOU 40 %"]
+    assert str(broken) in str(errors[0])
+
+
+def test_the_command_refuses_what_it_cannot_show(run: Run, tmp_path: Path) -> None:
+    assert run("view")[0] == 2
+    status, out, err = run("view", tmp_path / "nowhere")
+    assert out == f"reading {tmp_path / 'nowhere'} ...\n"
+    assert status == 1
+    assert "nowhere: no such folder; must be a result, a clip" in err
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +169,7 @@ def unpacked(content: dict[str, Any]) -> dict[str, np.ndarray]:
     }
 
 
+@pytest.mark.slow
 def test_frames_are_those_of_the_page_that_holds_all(folder: Path, library: ViewerLibrary, tmp_path: Path) -> None:
     view = View.of(*two_candidates())
     known = Evaluation.recorded(view.clip, "one-dof", {})
@@ -92,12 +189,14 @@ def test_frames_are_those_of_the_page_that_holds_all(folder: Path, library: View
         assert frame["outlines"].keys() == held["pictures"][n]["outlines"].keys()
 
 
+@pytest.mark.slow
 def test_the_gap_is_measured_in_parts(library: ViewerLibrary, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = library.gap(0, 0)
     monkeypatch.setattr(viewer, "GAP_BATCH_FRAMES", 2)
     assert library.gap(0, 0)["lines"][0]["values"].tolist() == pytest.approx(whole["lines"][0]["values"].tolist())
 
 
+@pytest.mark.slow
 def test_another_candidate_has_contours_and_contact_of_its_own(library: ViewerLibrary) -> None:
     result, other = (library.frame(0, 0, rank, 2) for rank in (0, 1))
     assert result["outlines"]["object"] != other["outlines"]["object"]
@@ -107,6 +206,7 @@ def test_another_candidate_has_contours_and_contact_of_its_own(library: ViewerLi
     assert not np.array_equal(*near)
 
 
+@pytest.mark.slow
 def test_results_stand_side_by_side_at_the_frames_that_all_have(library: ViewerLibrary) -> None:
     shown = library.entry(2)
     assert [column["label"] for column in shown["columns"]] == ["1-DoF, ours", "Static"]
@@ -114,6 +214,7 @@ def test_results_stand_side_by_side_at_the_frames_that_all_have(library: ViewerL
     assert ["axis" in column["arrays"] for column in shown["columns"]] == [True, False]
 
 
+@pytest.mark.slow
 def test_a_clip_shows_its_ground_truth_or_its_hand_alone(library: ViewerLibrary, tmp_path: Path) -> None:
     (true,) = library.entry(1)["columns"]
     assert (true["label"], true["result"], true["masked"]) == (GROUND_TRUTH_LABEL, False, True)
@@ -129,6 +230,7 @@ def test_a_clip_shows_its_ground_truth_or_its_hand_alone(library: ViewerLibrary,
     assert alone.gap(0, 0) == {}
 
 
+@pytest.mark.slow
 def test_what_cannot_be_read_is_told_and_the_next_is_opened(folder: Path, tmp_path: Path) -> None:
     problems: list[Exception] = []
     listed = [
@@ -151,6 +253,7 @@ def answer(
     return got.status, content, headers
 
 
+@pytest.mark.slow
 def test_only_who_knows_the_whole_address_gets_an_answer(server: ViewerServer) -> None:
     own = f"/{server.secret}/"
     assert len(server.secret) >= 20
@@ -163,6 +266,7 @@ def test_only_who_knows_the_whole_address_gets_an_answer(server: ViewerServer) -
         assert server.secret.encode() not in content
 
 
+@pytest.mark.slow
 def test_paths_name_nothing_but_what_is_shown(server: ViewerServer) -> None:
     asked = [
         "entry",
@@ -192,6 +296,7 @@ def test_paths_name_nothing_but_what_is_shown(server: ViewerServer) -> None:
         assert answer(server, f"/{server.secret}/entry/0", method)[0] == 501
 
 
+@pytest.mark.slow
 def test_other_names_of_this_machine_and_other_sites_are_refused(server: ViewerServer) -> None:
     own = f"/{server.secret}/entry/0"
     for host in ("evil.example", "evil.example:8770", "127.0.0.1.evil.example", "", "127.0.0.1:80:80", "[evil]"):
@@ -202,6 +307,7 @@ def test_other_names_of_this_machine_and_other_sites_are_refused(server: ViewerS
         assert answer(server, own, **{"Sec-Fetch-Site": site})[0] == 403
 
 
+@pytest.mark.slow
 def test_answers_are_kept_by_nobody_and_framed_by_nobody(server: ViewerServer) -> None:
     for path in ("", "entry/0", "nothing"):
         head = answer(server, f"/{server.secret}/{path}")[2]
@@ -214,6 +320,7 @@ def test_answers_are_kept_by_nobody_and_framed_by_nobody(server: ViewerServer) -
     assert "connect-src 'self'" in page
 
 
+@pytest.mark.slow
 def test_a_frame_that_cannot_be_read_is_one_line_of_json(folder: Path, server: ViewerServer) -> None:
     mask = folder / "clip" / "masks" / "object" / "000001.png"
     content = mask.read_bytes()
@@ -225,6 +332,7 @@ def test_a_frame_that_cannot_be_read_is_one_line_of_json(folder: Path, server: V
     assert answer(server, f"/{server.secret}/frame/0/0/0/1")[0] == 200
 
 
+@pytest.mark.slow
 def test_it_listens_to_this_machine_alone(server: ViewerServer) -> None:
     assert server.host == LOOPBACK
     others = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)} - {LOOPBACK}
@@ -233,6 +341,7 @@ def test_it_listens_to_this_machine_alone(server: ViewerServer) -> None:
             socket.create_connection((address, server.server_port), timeout=2)
 
 
+@pytest.mark.slow
 def test_ports_and_addresses_that_cannot_be_had_are_named(library: ViewerLibrary, server: ViewerServer) -> None:
     for port in (server.server_port, 70000, -1):
         with pytest.raises(UsageError, match="--port") as caught:
