@@ -8,7 +8,7 @@ import pytest
 from getagrip.checks import INPUT_CHECKS, Evidence, run_checks
 from getagrip.clip.intrinsics import camera_warning, compute_intrinsics
 from getagrip.errors import UsageError
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from helpers.clips import small_clip
 
 

@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 
 from getagrip.cli.command import Command
 from getagrip.errors import InputError, UsageError
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.io import files
 from getagrip.io.options import Flag, Folder, OptionalFile
 from getagrip.io.terminal import format_count, print_note

@@ -12,7 +12,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from getagrip.cli.command import Command, Labels, OptionalSide
 from getagrip.errors import GetagripError, UsageError
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.io.options import Flag, OptionalFolder
 from getagrip.io.terminal import format_count, print_note
 
@@ -198,9 +198,8 @@ class Draft(Command):
                     own = replace(labels, first=extent[0], last=extent[1], frames=frames)
                     labelled.append(grasp := project.import_labels(own, DRAFT_ANNOTATOR))
                     if older := len(project.labelling.labels(grasp).frames) - len(frames):
-                        print_note(
-                            f"{self.folder} has labels of {format_count(older, 'other frame')} already, which count, too"
-                        )
+                        others = format_count(older, "other frame")
+                        print_note(f"{self.folder} has labels of {others} already, which count, too")
             if self.no_page:
                 if drawn:
                     return reconstruct_labelled_grasps(project, labelled, shape, calls.run_call)

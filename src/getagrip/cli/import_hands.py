@@ -24,7 +24,7 @@ from getagrip.clip.read import ClipHeader, read_header
 from getagrip.clip.read_arrays import OTHER_HAND_FILE, check_in_view, check_intrinsics, frames_with_hand, read_hand
 from getagrip.clip.write import FRAMES_WITHOUT_HAND, missing_hand_provenance, write_hand, write_hand_at
 from getagrip.errors import InputError, UsageError
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.hands.model import Side
 from getagrip.io import arrays, files
 from getagrip.io.options import Flag, OptionalFile, one_of

@@ -16,7 +16,7 @@ from getagrip.cli.command import Command
 from getagrip.cli.draft import DRAFT_ANNOTATOR, Draft
 from getagrip.cli.export import Export
 from getagrip.errors import UsageError
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.io.options import Flag, Folder, OptionalFolder
 from getagrip.io.terminal import format_count, print_result
 
@@ -41,8 +41,9 @@ class Effort(NamedTuple):
     active_s: float
 
     def __str__(self) -> str:
-        what = f"{format_count(self.drawn, 'stroke or outline', 'strokes and outlines')} on {format_count(self.frames, 'frame')}"
-        return f"{self.grasp}: {what}, {format_count(self.changes, 'change')} in {self.active_s / 60:.1f} min without pauses"
+        drawn = format_count(self.drawn, "stroke or outline", "strokes and outlines")
+        what = f"{drawn} on {format_count(self.frames, 'frame')}, {format_count(self.changes, 'change')}"
+        return f"{self.grasp}: {what} in {self.active_s / 60:.1f} min without pauses"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,7 @@ from tyro.conf import Positional, arg
 
 from getagrip.cli.command import WARNING_EXIT_STATUS, Command, FirstNumber, Labels, OptionalSide, refuse_existing
 from getagrip.errors import InputError, UsageError
-from getagrip.geometry.camera import Distortion, Lens
+from getagrip.geometry.lens import Distortion, Lens
 from getagrip.io import files
 from getagrip.io.options import Flag, Folder, OptionalFile, one_of
 from getagrip.io.terminal import format_count, warn

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from getagrip.clip.read_arrays import check_intrinsics
 from getagrip.errors import InputError, UsageError
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.provenance import Source, assumed, measured
 
 MAX_PRINCIPAL_POINT_OFFSET = 0.1

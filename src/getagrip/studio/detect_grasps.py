@@ -17,7 +17,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from getagrip.clip import read_clip
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.io import files
 from getagrip.io.terminal import format_count
 from getagrip.readers.footage import Footage

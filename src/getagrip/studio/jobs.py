@@ -233,7 +233,8 @@ def command_variable(name: str) -> str:
 
 def setup_advice(name: str) -> str:
     """Say how to set an estimator up."""
-    return f"{command_variable(name)}='/environments/{name}/bin/python /scripts/{ESTIMATORS[name].script}', see estimators.md"
+    call = f"/environments/{name}/bin/python /scripts/{ESTIMATORS[name].script}"
+    return f"{command_variable(name)}='{call}', see estimators.md"
 
 
 def estimator_command(name: str) -> list[str] | None:

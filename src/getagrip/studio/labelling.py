@@ -19,7 +19,7 @@ from numpy import ndarray
 
 from getagrip.clip.intrinsics import compute_intrinsics
 from getagrip.errors import UsageError
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.hands.from_2d.clicks import MIN_CLICKED_JOINTS
 from getagrip.io import files
 from getagrip.io.files import Json, shorten_value

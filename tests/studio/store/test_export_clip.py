@@ -19,7 +19,8 @@ from getagrip.clip.intrinsics import compute_intrinsics
 from getagrip.errors import UsageError
 from getagrip.fitting.hand.refine_hand import refine_hand
 from getagrip.geometry import se3
-from getagrip.geometry.camera import Lens, project
+from getagrip.geometry.camera import project
+from getagrip.geometry.lens import Lens
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.geometry.rasterize import render_coverage
 from getagrip.hands import generic

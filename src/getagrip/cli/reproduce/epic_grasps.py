@@ -125,7 +125,7 @@ class ReproduceEpic(Reproduce):
         from getagrip.batch.job import failed_outcome
         from getagrip.cli.import_hands import ImportHands, NewFrames, Trackers
         from getagrip.clip.read import read_header
-        from getagrip.geometry.camera import Lens
+        from getagrip.geometry.lens import Lens
 
         failed = []
         out.mkdir(parents=True, exist_ok=True)

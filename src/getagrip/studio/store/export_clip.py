@@ -21,7 +21,7 @@ from getagrip.clip.match_frames import number_of
 from getagrip.clip.write import write_hand
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.geometry.rasterize import render_coverage
 from getagrip.hands.from_2d.clicks import ASSUMED_SCALE_NOTE, ClickedHands, hands_from_clicks
 from getagrip.hands.model import Side
