@@ -198,8 +198,10 @@ class Draft(Command):
                     own = replace(labels, first=extent[0], last=extent[1], frames=frames)
                     labelled.append(grasp := project.import_labels(own, DRAFT_ANNOTATOR))
                     if older := len(project.labelling.labels(grasp).frames) - len(frames):
-                        others = format_count(older, "other frame")
-                        print_note(f"{self.folder} has labels of {others} already, which count, too")
+                        print_note(
+                            f"{self.folder} has labels of {format_count(older, 'other frame')} already, "
+                            "which count, too"
+                        )
             if self.no_page:
                 if drawn:
                     return reconstruct_labelled_grasps(project, labelled, shape, calls.run_call)
