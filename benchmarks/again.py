@@ -1,4 +1,4 @@
-"""Make a slice of a table again: ``python -m benchmarks.again TABLE [--clips N] [--out DIR] [WORD=DIR ...]``.
+"""Measure a slice of a table again: ``python -m benchmarks.again TABLE [--clips N] [--out DIR] [WORD=DIR ...]``.
 
 N of the table's clips, evenly spaced, are reconstructed by the command that its JSON names, into DIR, and every number
 of them but the seconds is compared with ``results/clips/TABLE.csv.gz``. The words of the command that stand for folders
@@ -25,20 +25,20 @@ from benchmarks.results import CLIPS
 
 KEY = ("clip", "method", "setting")
 APART = ("seconds",)
-"""Columns that are never the same twice."""
+"""Columns that differ in every run."""
 CHOSEN = ("--clips", "--split", "--keep", "--only", "--out")
-"""Options of a table's command that say which clips, or where to; ``--keep`` changes no number of a clip."""
+"""Options of a table's command that select clips or the folder; ``--keep`` changes no number of a clip."""
 Line = dict[str, str]
 
 
 def chosen(lines: Sequence[Line], clips: int) -> list[str]:
-    """Names of some of the clips, evenly spaced."""
+    """Return the names of some clips, evenly spaced."""
     names = [*dict.fromkeys(line["clip"] for line in lines)]
     return [names[n] for n in np.unique(np.linspace(0, len(names) - 1, min(clips, len(names))).round().astype(int))]
 
 
 def command(table: str, only: Path, out: Path, folders: dict[str, str]) -> list[str]:
-    """The words of a table's command, for the clips of a file. Raises ``KeyError`` where a folder is missing."""
+    """Return the words of a table's command, for the clips of a file. Raises ``KeyError`` for a missing folder."""
     words, kept = shlex.split(store.read(table).made["command"]), list[str]()
     if words[:2] != ["getagrip", "bench"]:
         raise KeyError(f"{table}: made by {shlex.join(words)}, which makes no slices")
@@ -77,7 +77,7 @@ def _apart(one: str, other: str) -> float:
 
 
 def main(words: Sequence[str]) -> int:
-    """Make the slice, and compare it; 1 unless all is equal."""
+    """Measure the slice and compare it; returns 1 unless all numbers are equal."""
     parser = argparse.ArgumentParser("python -m benchmarks.again", description="Make a slice of a table again.")
     parser.add_argument("table", choices=store.names(), metavar="TABLE", help="a table of results/")
     parser.add_argument("folders", nargs="*", metavar="WORD=DIR", help="folders that its command names")
@@ -117,7 +117,7 @@ def main(words: Sequence[str]) -> int:
 
 
 def _folder(table: str) -> str:
-    """The name of the folder that a table's command writes to."""
+    """Return the name of the output folder of a table's command."""
     words = shlex.split(store.read(table).made["command"])
     return Path(words[words.index("--out") + 1]).name
 

@@ -1,6 +1,6 @@
-"""Clips per minute of ``getagrip reconstruct``, files and all, and how much two workers gain over one.
+"""Clips per minute of ``getagrip reconstruct`` including files, and the gain from a second worker.
 
-Each run is the command in a process of its own, so that starting and loading count, too.
+Each run is the command in a process of its own, so start and imports count.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def tables() -> dict[str, Table]:
 
 
 def _run(clips: Path, out: Path, options: tuple[str, ...]) -> float:
-    """Seconds that the command takes."""
+    """Return the command's wall time [s]."""
     words = [sys.executable, "-m", "getagrip", "reconstruct", str(clips), "--out", str(out), "--quiet", *options]
     since = time.perf_counter()
     subprocess.run(words, check=True, env=os.environ)

@@ -57,9 +57,9 @@ INPUTS = {
     "category mesh": "a mesh that is only of the object's kind",
     "category mesh, size unknown, hands moderate": "the same, size unknown, hands off (`moderate`, assumed)",
 }
-"""Settings of the ablations ``inputs`` and ``final``, in words."""
+"""Descriptions of the settings of the ablations ``inputs`` and ``final``."""
 RIGHT, ERROR = "add_sym", "add_sym_mm"
-"""Keys of the share of right results, and of their error: a column beside it, in every table that has both."""
+"""Keys of the share of right results and of the error in mm, which are adjacent columns."""
 ERROR_LABEL, WITHIN_MM = "median error, mm", 15
 CLIPS = {
     "DexYCB": "dexycb-methods",
@@ -70,7 +70,7 @@ CLIPS = {
     "`wild`": "synthetic-wild-methods",
     "`measured`": "synthetic-measured-methods",
 }
-"""On what methods are compared, and the table of it."""
+"""Sets of clips for the comparison of methods, with their tables."""
 
 
 MOTIONS = {
@@ -80,21 +80,21 @@ MOTIONS = {
     "HOT3D's and TACO's samples": (("samples-hot3d-taco-methods",), ""),
     "ARCTIC, estimated hands": (("arctic-motion-methods",), ""),
 }
-"""Real motion, the tables of it, ours first, and the end of its rows' keys."""
+"""Real motions: tables, ours first, and the end of their rows' keys."""
 PAPERS = {group: (method, ARCTIC_BASELINES.get(f"{group}, ours", OWN_METHODS.get(f"{group}, ours", group.lower())))
           for group, method in arctic_grasps.ARCTIC_PAPER_METHODS.items()}  # fmt: skip
-"""The paper's methods by its energy, and ours that follow them, by the names of its tables."""
+"""The paper's methods with its energy, and our versions, by the names of its tables."""
 DATASETS = {"ARCTIC's motion": "arctic", "DexYCB": "dexycb", "ten other objects": "dexycb-the-ten-others"}
-"""Those that the probability is calibrated on, and their rows in its table."""
+"""Motions of the calibration of the probability, with their rows in its table."""
 
 
 def fill(text: str) -> str:
-    """A page with its places filled in. Raises ``KeyError`` for an unknown key."""
+    """Fill in the places of a page. Raises ``KeyError`` for an unknown key."""
     return PLACE.sub(lambda place: said(place[1]), text)
 
 
 def fill_written(text: str) -> str:
-    """A page with what is written behind each place brought up to date. Raises ``KeyError`` for an unknown key."""
+    """Update the text behind each place of a page. Raises ``KeyError`` for an unknown key."""
 
     def again(place: re.Match[str]) -> str:
         words = said(place[1])
@@ -105,7 +105,7 @@ def fill_written(text: str) -> str:
 
 
 def said(place: str) -> str:
-    """What stands in a place."""
+    """Return the text of a place."""
     first, *words = place.split()
     if first in DIRECTIVES:
         return DIRECTIVES[first](*words)
@@ -119,7 +119,7 @@ def said(place: str) -> str:
 
 
 def _first(cell: Cell) -> float:
-    """The number of a cell."""
+    """Return the number of a cell."""
     value = cell[0] if isinstance(cell, list) else cell
     if not isinstance(value, int | float):
         raise KeyError(f"minus= needs numbers (got {cell!r})")
@@ -127,7 +127,7 @@ def _first(cell: Cell) -> float:
 
 
 def shown(column: Column, cell: Cell, words: Sequence[str] = ()) -> str:
-    """A cell as text."""
+    """Format a cell."""
     if cell is None:
         return "–"
     if isinstance(cell, str):
@@ -148,13 +148,13 @@ def shown(column: Column, cell: Cell, words: Sequence[str] = ()) -> str:
 
 
 def grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table: the first column to the left, numbers to the right."""
+    """Make a Markdown table: first column left-aligned, numbers right-aligned."""
     rule = ["---"] + ["---:"] * (len(header) - 1)
     return "\n".join(f"| {' | '.join(row)} |" for row in (header, rule, *rows))
 
 
 def table(name: str, *words: str) -> str:
-    """Some columns and rows of a table, the best of each column bold, and how it was made."""
+    """Make a table of some columns and rows, the best of each column bold, with its provenance."""
     found = store.read(name)
     options = dict(word.split("=", 1) for word in words if "=" in word)
     among = "differences" if "difference" in words else "rows"
@@ -178,7 +178,7 @@ def table(name: str, *words: str) -> str:
 
 
 def _with_error(keys: Sequence[str], found: store.Table) -> list[str]:
-    """Columns, the error in mm behind the share of right results where the table has it."""
+    """Return columns, with the error in mm behind the share of right results if the table has it."""
     if RIGHT not in keys or all(column.key != ERROR for column in found.columns):
         return [*keys]
     return [key for each in keys if each != ERROR for key in ((RIGHT, ERROR) if each == RIGHT else (each,))]
@@ -195,7 +195,7 @@ def _label(row: Row) -> str:
 
 
 def _best(column: Column, rows: Sequence[Row]) -> str | None:
-    """The best of a column as it is shown, where rows are compared by it and differ."""
+    """Return the best printed value of a column; None if rows are equal or not compared by it."""
     values = [
         value[0] if isinstance(value, list) else value for row in rows if (value := row.get(column.key)) is not None
     ]
@@ -206,7 +206,7 @@ def _best(column: Column, rows: Sequence[Row]) -> str | None:
 
 
 def inputs(name: str, *methods: str) -> str:
-    """How often methods are right, in the hand and in the camera, with a row for each kind of input."""
+    """Make a table of shares of right results, in the hand and in the camera, with a row for each kind of input."""
     found, lines = store.read(name), []
     rows, captions = {str(row["label"]): row for row in found.rows}, [made(name)]
     for method, of in (each.split("=") for each in methods if "=" in each):
@@ -246,7 +246,7 @@ def headline(name: str, ours: str, theirs: str) -> str:
 
 
 def objects(name: str, method: str) -> str:
-    """How often a method is right with each object, the smallest first, of a table's numbers by clip."""
+    """Make a table of a method's share of right results by object, the smallest object first."""
     clips = [line for line in store.read_clips(name) if line["method"] == method]
     by_object = {
         label: [line for line in clips if line["category"] == label] for label in {c["category"] for c in clips}
@@ -268,7 +268,7 @@ def _median(lines: Sequence[dict[str, str]], key: str) -> float:
 
 
 def methods(column: str) -> str:
-    """A column of all methods, with a column for each set of clips."""
+    """Make a table of one metric: a row for each method, a column for each set of clips."""
     tables = {label: store.read(name) for label, name in CLIPS.items()}
     lines = [
         [f"`{row['label']}`", *(shown(t.column(column), t.row(store.key_of(row)).get(column)) for t in tables.values())]
@@ -279,7 +279,7 @@ def methods(column: str) -> str:
 
 
 def leaderboard() -> str:
-    """ADD and SCA-ADD of each method on each real motion, with what it is given, its time, and what runs it."""
+    """Make a table of ADD and SCA-ADD of each method on each real motion, with inputs, time and hardware."""
     tables = {label: ([*map(store.read, names)], suffix) for label, (names, suffix) in MOTIONS.items()}
     lines = []
     for key in dict.fromkeys(
@@ -299,7 +299,7 @@ def leaderboard() -> str:
 
 
 def beside_paper() -> str:
-    """The paper's Table 2 beside the same methods here, by its energy and by ours, on ARCTIC's motion and on DexYCB."""
+    """Make a table of the paper's Table 2 and the same methods here, with its energy and ours, on ARCTIC and DexYCB."""
     columns = {"IOU": "iou", "SCA-IOU": "sca_iou_0_8", "ADD": "add", "SCA-ADD": "sca_add"}
     lines = []
     for group, (by_paper, by_us) in PAPERS.items():
@@ -314,13 +314,13 @@ def beside_paper() -> str:
 
 
 def _printed(group: str, *columns: str) -> list[str]:
-    """The paper's printed means of a method over all clips of ARCTIC."""
+    """Return the paper's printed means of a method over all clips of ARCTIC."""
     table = paper_tables()["Table 2"]
     return [f"{table['groups'][group]['All'][table['columns'].index(column)]:.1f}" for column in columns]
 
 
 def motions() -> str:
-    """The default on each real motion, with the AUROC and ECE of the probability by objects left out."""
+    """Make a table of the default method on each real motion, with cross-validated AUROC and ECE of its probability."""
     columns = ("clips", "iou", "add", RIGHT, ERROR, "sca_add_sym", "right_in_camera", "seconds")
     fits = store.read("probability-hand")
     lines, heads = [], ["IOU", "ADD", "ADD sym.", ERROR_LABEL, "SCA-ADD sym.", "in the camera", "s"]
@@ -341,7 +341,7 @@ def _row(table: store.Table, key: str) -> Row | None:
 
 
 def _first_row(tables: Sequence[store.Table], key: str) -> tuple[store.Table, Row] | None:
-    """The first table that has a row, and the row."""
+    """Return the first table with a row, and the row."""
     found = ((table, _row(table, key)) for table in tables)
     return next(((table, row) for table, row in found if row is not None), None)
 
@@ -352,7 +352,7 @@ def _both(table: store.Table, row: Row) -> str:
 
 
 def made(name: str) -> str:
-    """How a table was made, in a line."""
+    """Describe the provenance of a table in a line."""
     how = store.read(name).made
     when = f"Commit {how['commit']}, {how['date']}" if "commit" in how else how.get("date", "")
     return f"*{when}: `{how['command']}`*" if "command" in how else f"*{when}*"

@@ -1,7 +1,7 @@
-"""What a first start costs: seconds of processor time per kernel that is compiled, with an empty cache.
+"""Cost of a first start: CPU time to compile each kernel, with an empty cache: ``python -m benchmarks cold-start``.
 
-``python -m benchmarks cold-start``. Each group of kernels is compiled in a process of its own, as ``compile_once`` has
-it done; what a kernel calls is counted with the first one that does.
+Each group of kernels is compiled in a process of its own, as by ``compile_once``; a shared part counts for the first
+kernel that calls it.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def tables() -> dict[str, Table]:
 
 
 def _demos() -> list[list[str]]:
-    """Measure a first result, kernels compiled, and the same again."""
+    """Measure a first demo with an empty cache of kernels, and a second one."""
     rows = []
     with tempfile.TemporaryDirectory() as empty:
         for name in ("first", "again"):

@@ -1,4 +1,4 @@
-"""Drafts of videos against what a person drew: masks by polygons of frames that the propagation does not see, hands.
+"""Score drafts of videos against a person's drawings: masks on held-back frames by polygons, hands by clicked joints.
 
 Polygons and clicked joints are here; the videos are not, and their rows are left out where ``shared/data`` is absent.
 """
@@ -37,40 +37,40 @@ DATA = ROOT / "shared" / "data"
 POLYGONS = Path(__file__).with_name("polygons")
 KITCHEN = ROOT / "tests" / "helpers" / "kitchen_plate_labels.json"
 KEYS = {"mug": (0, 44, 89), "bottle": (53, 93, 133), "tape": (25, 64, 103), "kitchen_plate": (35, 63, 81, 111)}
-"""Frames whose polygons are given, from 0; those of all others are held back."""
+"""Key frames whose polygons are inputs, from 0; polygons of other frames are held back."""
 
 
 HELD_BY_LEFT = ("bottle", "mug", "tape", "umbrella", "kitchen_plate")
-"""Videos, in all of which the left hand holds the object, and is in view in every frame."""
+"""Videos in which the left hand grasps the object and is in view in every frame."""
 RING = (0.0415, 0.049, 0.048)
 """Radii and height of the roll of tape [m]."""
 AGAIN = ("drawn again", "IOU with these", "both outlines")
-"""Columns of held-back frames that were outlined again: how many, and the IOU of masks and of the first outlines with
-the second ones."""
+"""Columns of held-back frames that were outlined twice: their number, and the IOU of masks and of first outlines with
+the second outlines."""
 KEEP = "GETAGRIP_KEEP"
-"""Environment variable: folder that keeps what the examples make, for pictures."""
+"""Environment variable with a folder for the examples' files, for pictures."""
 Rows = list[list[str]]
-"""Of a table, from one video."""
+"""Rows of a table, from one video."""
 LabelMaps = Mapping[int, UInt8[ndarray, "H W"]]
-"""Of some frames."""
+"""Label maps by frame."""
 CLOSE = 20.0
-"""Largest error of the landmarks of a clicked frame that counts as close [px]."""
+"""Maximum error of a clicked frame's landmarks to count as close [px]."""
 
 
 def masks() -> dict[str, Table]:
-    """Masks from outlines on a few frames."""
+    """Measure masks from outlines on a few frames."""
     header = ["video", "frames", "drawn", "held back", "mean IOU", "least IOU", *AGAIN, "CPU s/frame"]
     return {"draft-masks": of_cells("The object's masks from outlines on a few frames", header, *_rows(KEYS, _masks))}
 
 
 def clicks() -> dict[str, Table]:
-    """Masks from a box or a click on one frame, and from a click on each frame that has an outline in ``masks``."""
+    """Measure masks from a box or a click on one frame, and from a click on each key frame of ``masks``."""
     header = ["given", "frames", "IOU where given", "held back", "mean IOU", "least IOU"]
     return {"draft-clicks": of_cells("The object's masks from a box, or from clicks", header, *_rows(KEYS, _clicks))}
 
 
 def landmarks() -> dict[str, Table]:
-    """The hand, as it is found."""
+    """Measure the detected hand."""
     clicked = ["clicked", "within 20 px", "median, px"]
     again = ["within 20 px, clicked again", "median again, px", "both clicks, px"]
     header = ["video", "frames", "with a hand, %", "right side", *clicked, *again, "CPU ms/frame"]
@@ -90,15 +90,15 @@ def results() -> dict[str, Table]:
 
 
 class Example(NamedTuple):
-    """What is reconstructed of a video, from marks in ``POLYGONS``."""
+    """The object of a video and its marks in ``POLYGONS``."""
 
     name: str
     mesh: str
-    """Kind of a built-in shape, or a file."""
+    """Name of a built-in shape, or a file."""
     frames: int
-    """How many."""
+    """Number of frames."""
     first: int = 1
-    """The first of them, from 1."""
+    """First frame, from 1."""
 
     @property
     def last(self) -> int:
@@ -106,7 +106,7 @@ class Example(NamedTuple):
 
     @property
     def shown(self) -> Path:
-        """The marks of a few frames."""
+        """Marks of a few frames."""
         return POLYGONS / f"{self.name}-shown.json"
 
 
@@ -126,7 +126,7 @@ def _example(_: str, video: Path) -> Rows:
 
 
 def _result(name: str, video: Path) -> Rows:
-    """Return the cells of a video: frames, those that a person drew on, IOU, and the CPU time up to the result."""
+    """Return the cells of a video: frames, frames with a person's drawings, IOU, and CPU time up to the result."""
     it = OTHERS[name]
     with TemporaryDirectory() as temporary:
         steps = _kept(it, Path(temporary), list(islice(made_by(it, video, Path(temporary)), 5)))  # without a report
@@ -135,7 +135,7 @@ def _result(name: str, video: Path) -> Rows:
 
 
 def _kept(it: Example, folder: Path, rows: Rows) -> Rows:
-    """Copy a folder to where the user wants to keep it."""
+    """Copy a folder to the folder of the variable ``KEEP``."""
     if KEEP in os.environ:
         shutil.copytree(folder, Path(os.environ[KEEP]) / it.name)
     return rows
@@ -169,7 +169,7 @@ def made_by(it: Example, video: Path, folder: Path) -> Iterator[list[str]]:
 
 
 def _rows(names: Iterable[str], measure: Callable[[str, Path], Rows]) -> tuple[list[list[str]], list[str]]:
-    """Measure some videos; return their rows, and which videos are missing."""
+    """Measure some videos; return their rows, and the missing videos."""
     rows: list[list[str]] = []
     missing = []
     for name in names:
@@ -186,12 +186,12 @@ def _labels(name: str) -> Labels:
 
 
 def _again(name: str) -> Labels:
-    """Return what was drawn and clicked again on some of the frames, from these alone."""
+    """Return a second drawing and clicks of some frames, made independently of the first."""
     return labels.read_label_file(POLYGONS / f"{name}-again.json")
 
 
 def _landmarks(name: str, path: Path) -> Rows:
-    """Return the cells of a video's row: how often the left hand is found, and how far from clicked joints."""
+    """Return the cells of a video's row: rate of detection of the left hand, and its distance from clicked joints."""
     from getagrip.studio.hands import load_models
     from getagrip.studio.hands.detect_hands import find_landmarks
 
@@ -234,7 +234,7 @@ def _masks(name: str, path: Path) -> Rows:
 
 
 def _clicks(name: str, path: Path) -> Rows:
-    """Return the cells of a video's rows: the outline's box, a click in its middle, as deep inside as can be."""
+    """Return the cells of a video's rows: the outline's box, and a click at its innermost pixel."""
     import cv2
 
     given, keys, video = _labels(name), KEYS[name], VideoFootage(path)
@@ -268,7 +268,7 @@ def _deepest(mask: Bool[ndarray, "H W"]) -> Float[ndarray, "2"]:
 def held_back(
     given: Labels, keys: tuple[int, ...], image: Images, hand: Hands, shown: LabelMaps | None = None
 ) -> dict[int, UInt8[ndarray, "H W"]]:
-    """Propagate the masks ``shown``, by default what is drawn on ``keys``; return those of the other drawn frames."""
+    """Propagate the masks ``shown`` (default: drawings of ``keys``); return the masks of the other drawn frames."""
     drawn = given.label_maps()
     shown = {n: drawn[n] for n in keys} if shown is None else shown
     found = propagate_labels(image, shown, given.first, given.last, hand=hand)
@@ -276,14 +276,14 @@ def held_back(
 
 
 def ious(one: LabelMaps, other: LabelMaps) -> list[float]:
-    """Intersection over union of the object, in each frame of both."""
+    """Compute the object's intersection over union in each common frame."""
     both = [(one[n] == OBJECT_LABEL, other[n] == OBJECT_LABEL) for n in sorted(one.keys() & other.keys())]
     return [float((a & b).sum() / max((a | b).sum(), 1)) for a, b in both]
 
 
 @cache
 def found_hand(path: Path) -> Hands:
-    """Find the hand in a video as ``getagrip draft`` does, once for all tables; nothing is known without one."""
+    """Find the hand in a video as ``getagrip draft`` does, once for all tables; empty without a hand."""
     from getagrip.errors import GetagripError
     from getagrip.studio.hands import hand_mask, load_models
     from getagrip.studio.hands.detect_hands import find_landmarks

@@ -1,4 +1,4 @@
-"""A reconstruction in a fresh process, for what only happens once: ``python -m benchmarks.fresh CLIP`` prints JSON."""
+"""Costs of a reconstruction in a new process, imports included: ``python -m benchmarks.fresh CLIP`` prints JSON."""
 
 import json
 import sys
@@ -7,16 +7,16 @@ from pathlib import Path
 
 
 def peak_memory() -> float:
-    """Most memory this process has held so far [MB].
+    """Return the peak memory of this process [MB].
 
-    Linux's own count and not ``getrusage``, whose maximum a process inherits from the one that started it.
+    Read from Linux's VmHWM: a process inherits the maximum of ``getrusage`` from its parent.
     """
     status = Path("/proc/self/status").read_text(encoding="utf-8")
     return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
 
 
 def main(folder: str) -> dict[str, float]:
-    """Import, read the clip, reconstruct it twice; seconds of processor time and megabytes along the way."""
+    """Import, read the clip, reconstruct it twice; return CPU times [s] and peak memory [MB] of the steps."""
     from getagrip.clip import read_clip, read_masks
     from getagrip.reconstruct import reconstruct
 

@@ -1,10 +1,10 @@
-"""Calibrate what is kept: ``python -m benchmarks.kept ROWS``.
+"""Calibrate the thresholds of ``--keep`` and the probability for estimated hands: ``python -m benchmarks.kept ROWS``.
 
-ROWS is a file of ``benchmarks.kept_rows``, or several joined. Its training parts, with simulated and with real errors
-of hands, give ``checks/calibrated.json`` the probability for estimated hands, fitted with the synthetic part, and for
-each kind of their input the thresholds of ``checks.calibration``; those of measured hands are ``benchmarks.probability``'s.
-The other parts are held against them: ``results/kept.json``; how many of validation are right:
-``results/evidence-validation.json``. Nothing is reconstructed.
+ROWS is a file of ``benchmarks.kept_rows``, or several joined. The training parts, with simulated and with real errors
+of hands, are fitted together with the synthetic part: the probability for estimated hands, and the thresholds for each
+kind of input, go into ``checks/calibrated.json`` (``benchmarks.probability`` calibrates measured hands). The other
+parts test them (``results/kept.json``); ``results/evidence-validation.json`` counts right validation results. Nothing
+is reconstructed.
 """
 
 from __future__ import annotations
@@ -44,30 +44,30 @@ from getagrip.result.findings import Probability
 METHOD = Options().method
 Kept = Mapping[tuple[InputKind, Where], KeepThresholds]
 KEPT = 0.95
-"""Share of right results in the table."""
+"""Share of right results at which the table keeps."""
 MEASURED = ("measured", "corrected")
 PARTS = ("train", REAL, "validation", REAL_APART)
 
 
 @dataclass(frozen=True)
 class Results(probability.Results):
-    """Results without serious findings, which have a probability, and where they are to be right."""
+    """Results without serious findings, which have a probability, and the frame in which they must be right."""
 
     synthetic: Sequence[Row] = ()
-    """Results of synthetic clips to fit beside them. How often these are right is another matter: a bias of its own."""
+    """Synthetic results of the fit. They have a bias of their own, since their share of right results differs."""
 
     def without(self, category: str) -> Results:
-        """Those with objects of other categories."""
+        """Select the results with objects of other categories."""
         rows, synthetic = ([row for row in of if row["category"] != category] for of in (self.rows, self.synthetic))
         return replace(self, rows=rows, synthetic=synthetic)
 
     @property
     def estimated(self) -> Results:
-        """Those with estimated hands."""
+        """Results with estimated hands."""
         return replace(self, rows=[row for row in self.rows if row["kind"] not in MEASURED])
 
     def fitted(self, made: str) -> probability.Fit:
-        """Fit the weights of the signs."""
+        """Fit the weights of the features."""
         every = Results([*self.rows, *self.synthetic], self.where)
         own = [[row["signs"][sign.name] for sign in ESTIMATED_FEATURES] for row in every.rows]
         signs = np.column_stack([own, np.arange(len(own)) >= len(self.rows)])
@@ -81,9 +81,9 @@ class Results(probability.Results):
 
 
 def of_part(rows: Sequence[Row], part: str, where: Where) -> Results:
-    """Select the results of a part that have a probability, with the synthetic ones for fits.
+    """Select the results of a part without serious findings, with the synthetic ones for fits.
 
-    Real hands are for training, too; their camera is assumed, so that there is no probability in the camera.
+    Training in the hand includes real hands; their camera is assumed, so they have no probability in the camera.
     """
     parts = (part, REAL) if (part, where) == ("train", "hand") else (part,)
     rows, synthetic = ([row for row in rows if row["part"] in of and not row["serious"]] for of in (parts, [SYNTHETIC]))
@@ -97,7 +97,7 @@ HEADER = (
 
 
 def lines(rows: Sequence[Row], fitted: Mapping[Where, Calibration], keeping: Kept) -> Iterator[list[str]]:
-    """Hold all parts against the calibrations; estimated hands of training by fits without their own object."""
+    """Test the calibrations on all parts; training results with estimated hands by fits without their own object."""
     for where, part in product(get_args(Where), PARTS):
         if where == "camera" and part in (REAL, REAL_APART):
             continue
@@ -126,7 +126,7 @@ def lines(rows: Sequence[Row], fitted: Mapping[Where, Calibration], keeping: Kep
 
 
 def line(label: str, results: Results, p: Float[ndarray, "n"], keeping: Kept) -> list[str]:
-    """Sum up results of these probabilities."""
+    """Summarise results with their probabilities in a row of the table."""
     right, where, rows, weights = results.right, results.where, results.rows, results.weights
     verdicts = [
         keeping[row["kind"], where].applied(Probability(x, "")) for x, row in zip(p.tolist(), rows, strict=True)
@@ -145,7 +145,7 @@ def line(label: str, results: Results, p: Float[ndarray, "n"], keeping: Kept) ->
 
 
 def _share(what: Bool[ndarray, "n"], among: Bool[ndarray, "n"], weights: Float[ndarray, "B n"]) -> str:
-    """Write the share of some of the results, in per cent, with its interval over clips where it is neither 0 nor 1."""
+    """Format a share of results in per cent, with its interval over clips unless it is 0 or 1."""
     if not among.any():
         return ""
     share = 100.0 * what[among].mean()
@@ -158,7 +158,7 @@ def _share(what: Bool[ndarray, "n"], among: Bool[ndarray, "n"], weights: Float[n
 
 
 def calibrated(rows: Sequence[Row], made: str) -> tuple[Mapping[Where, Calibration], Kept]:
-    """Fit the training part."""
+    """Fit the probabilities and choose the thresholds by the training parts."""
     estimated, keeping = dict[Where, Calibration](), dict[tuple[InputKind, Where], KeepThresholds]()
     for where in get_args(Where):
         train = of_part(rows, "train", where)
@@ -171,7 +171,7 @@ def calibrated(rows: Sequence[Row], made: str) -> tuple[Mapping[Where, Calibrati
 
 
 def by_evidence(rows: Sequence[Row]) -> Iterator[list[str]]:
-    """Say how many validation results are right, those with serious findings included, in either frame."""
+    """Count right validation results in each frame, including results with serious findings."""
     of = [row for row in rows if row["part"] == "validation"]
     for condition in dict.fromkeys(row["condition"] for row in of):
         some = [Results([row for row in of if row["condition"] == condition], where) for where in get_args(Where)]
@@ -180,7 +180,7 @@ def by_evidence(rows: Sequence[Row]) -> Iterator[list[str]]:
 
 
 def main(file: Path) -> None:
-    """Fit, and write both down."""
+    """Calibrate, and write calibration and tables."""
     rows = read(file)
     estimated, keeping = calibrated(rows, date_and_commit())
     write(CALIBRATION_FILE, keeping, estimated=stored(estimated.values()))

@@ -1,9 +1,9 @@
-"""Collect what ``benchmarks.kept`` needs: ``python -m benchmarks.kept_rows OUT CLIPS DEXYCB YCB [WORKERS [MOST]]``.
+"""Collect the rows for ``benchmarks.kept``: ``python -m benchmarks.kept_rows OUT CLIPS DEXYCB YCB [WORKERS [MOST]]``.
 
-CLIPS is the folder of clips of ``bench dexycb``, imported where they are not, at most MOST of either part, evenly;
-CLIPS/real has those of ARCTIC with an estimator's hands, if any. A result is a line of OUT/rows.jsonl; those that are
-there are kept, so that an interrupted call goes on where it stopped. The first seed of either part comes first, so that
-what there is of it is a sample of everything.
+CLIPS is the folder of clips of ``bench dexycb``, imported if missing, at most MOST of each part, evenly spaced;
+CLIPS/real holds clips of ARCTIC with an estimator's hands, if any. Each result is a line of OUT/rows.jsonl; existing
+lines are kept, so an interrupted call continues. The first seed of all clips comes first, so an unfinished file is a
+sample of all cases.
 """
 
 from __future__ import annotations
@@ -43,22 +43,22 @@ from getagrip.synthetic.scene import synthesise
 from getagrip.synthetic.scene_options import SceneOptions
 
 ROWS, END = "rows.jsonl", "\t"
-"""The file, and what ends a row in it that was not cut off; no JSON has it."""
+"""The file, and the end of a complete row, which JSON never contains."""
 ESTIMATED = EstimatedHands(replace(NOISE_PRESETS["estimated"], mask_ragged_px=0.0))
 JOINTS = "landmarks", "wild", "lab"
-"""Levels of the errors of 2D joints, by seed: results are to be kept at any of them."""
+"""Error levels of 2D joints, by seed: the calibration must hold at each."""
 SYNTHETIC, SCENES = "synthetic", range(300_000, 300_011)
-"""A part that is made here, and its seeds for each category: DexYCB's wrong training results are of 32 clips only."""
+"""The synthetic part, and its seeds for each category: DexYCB's wrong training results are of only 32 clips."""
 REAL, REAL_APART = "real", "real, other objects"
-"""Parts of clips whose hands an estimator has found: with these objects, and with others."""
+"""Parts with an estimator's hands: with ``REAL_OBJECTS``, and with other objects."""
 REAL_OBJECTS = "box", "espressomachine", "laptop", "mixer", "phone", "waffleiron"
 SEEDS = {"train": 3, "validation": 3}
-"""Draws of the errors of each clip; what does not err is reconstructed once."""
+"""Number of error draws for each clip; exact hands are reconstructed once."""
 Row = dict[str, Any]
 
 
 class Keyed(Protocol):
-    """A case that its row is known by."""
+    """A case with a key that identifies its row."""
 
     @property
     def key(self) -> tuple[object, ...]: ...
@@ -68,7 +68,7 @@ C = TypeVar("C", bound=Keyed)
 
 
 def conditions(seed: int) -> Mapping[str, Change]:
-    """Return what is done to a clip; evidence is of the true hand, so it comes before the hand's errors."""
+    """Return the changes of a clip by name; evidence is simulated from the true hand, before the hand's errors."""
     joints = SimulatedJoints(JOINTS[seed])
     mono, sensor = SimulatedDepth("mono"), SimulatedDepth("realsense")
     return {
@@ -83,7 +83,7 @@ def conditions(seed: int) -> Mapping[str, Change]:
 
 @dataclass(frozen=True)
 class Case:
-    """A clip, and how it is changed."""
+    """A clip and its change."""
 
     folder: Path
     part: str
@@ -92,12 +92,12 @@ class Case:
 
     @property
     def key(self) -> tuple[str, str, int]:
-        """What its row is known by."""
+        """Key of the row."""
         return self.folder.name, self.condition, self.seed
 
 
 def cases(clips: Path, root: Path, meshes: Path, workers: int, most: int) -> Iterator[Case]:
-    """Yield all cases, the first seed of all clips first."""
+    """Yield all cases of DexYCB, the first seed of all clips first."""
     share = SchedulingOptions(workers=workers)
     sources = {part: DexYcb(split=part, root=root, meshes=meshes) for part in SEEDS}
     parts = {part: sample_clips(source, clips, most, False, share)[0] for part, source in sources.items()}
@@ -109,7 +109,7 @@ def cases(clips: Path, root: Path, meshes: Path, workers: int, most: int) -> Ite
 
 
 def scenes(clips: Path, workers: int) -> Iterator[Case]:
-    """Make the synthetic clips, and yield their cases with estimated hands, each of one draw."""
+    """Make the synthetic clips, and yield their cases with estimated hands, one draw each."""
     jobs = [(clips, n, category, seed) for seed in SCENES for n, category in enumerate(SYNTHETIC_CATEGORIES)]
     folders = dict(run_in_processes(scene, jobs, workers))
     for n, job in enumerate(jobs):
@@ -119,7 +119,7 @@ def scenes(clips: Path, workers: int) -> Iterator[Case]:
 
 
 def real(clips: Path) -> Iterator[Case]:
-    """Yield the cases of clips with an estimator's hands, each of one draw of the evidence's errors."""
+    """Yield the cases of clips with an estimator's hands, one draw of the evidence's errors each."""
     for folder in sorted(file.parent for file in clips.glob("*/clip.json")):
         part = REAL if read_clip(folder).category in REAL_OBJECTS else REAL_APART
         draw = crc32(folder.name.encode()) % len(JOINTS)
@@ -127,7 +127,7 @@ def real(clips: Path) -> Iterator[Case]:
 
 
 def scene(job: tuple[Path, int, str, int]) -> Path:
-    """Make a synthetic clip, if it is not there; its motion is as measured in DexYCB."""
+    """Make a missing synthetic clip, with motion statistics measured in DexYCB."""
     clips, n, category, seed = job
     folder, rng = clips / f"syn{seed}--{seed}--{category}", np.random.default_rng([seed, n])
     options = SceneOptions(
@@ -141,12 +141,12 @@ def scene(job: tuple[Path, int, str, int]) -> Path:
 
 
 def row(case: Case) -> Row | None:
-    """Reconstruct a clip: its signs, and which of its candidates are right; None where that fails."""
+    """Reconstruct a case, and return its row; None on failure."""
     clip = read_clip(case.folder)
     try:
         clip, masks = conditions(case.seed)[case.condition](clip, read_masks(clip), case.seed)
         result = reconstruct(clip, masks, Options(every_frame=False))
-    except Exception as error:  # one clip's trouble must not end the others
+    except Exception as error:  # an error in one clip must not end the others
         print(f"{case}: {error}", file=sys.stderr)
         return None
     return {
@@ -156,7 +156,7 @@ def row(case: Case) -> Row | None:
 
 
 def described(result: Reconstruction, clip: Clip) -> Row:
-    """Return what a row keeps of a result: its kind of input, findings, signs, and which candidates are right."""
+    """Return a result's part of the row: kind of input, findings, features, rank of the first right candidate."""
     in_camera = [*zip(result.candidates.T_hand_obj, result.candidates.scale, strict=True)]
     in_hand = in_camera if result.hand_alternatives is None else [(T, result.scale) for T in result.in_hand]
     terms, depth = {*result.energy, *result.hand_energy}, result.signs.get("depth-images", 0.0)
@@ -171,7 +171,7 @@ def described(result: Reconstruction, clip: Clip) -> Row:
 
 
 def rank(result: Reconstruction, clip: Clip, candidates: Sequence[tuple[ndarray, float]], metric: Metric) -> int | None:
-    """Return which candidate, poses and scale, is the first that is right, from 1; None where none is."""
+    """Return the number of the first right candidate (poses and scale), from 1; None if all are wrong."""
     for n, (T, scale) in enumerate(candidates, start=1):
         one = replace(result, T_hand_obj=T, scale=float(scale))
         if evaluate(one, clip, None, wanted=(metric,)).metrics[metric.name] > 0.5:
@@ -182,7 +182,7 @@ def rank(result: Reconstruction, clip: Clip, candidates: Sequence[tuple[ndarray,
 def collect(
     file: Path, every: Sequence[C], by: Sequence[str], run: Callable[[C], Row | None], workers: int
 ) -> list[Row]:
-    """Return the rows of all cases; those that a file lacks are added to it. ``by``: a case's key in its row."""
+    """Return the rows of all cases; missing ones are run and appended to the file. ``by``: entries of a row's key."""
     file.parent.mkdir(parents=True, exist_ok=True)
     done = {tuple(one[key] for key in by) for one in read(file)}
     missing = [case for case in every if case.key not in done]
@@ -196,7 +196,7 @@ def collect(
 
 
 def read(file: Path) -> list[Row]:
-    """Read the rows of a file, if there is one; one that was cut off counts as missing."""
+    """Read the complete rows of a file; none if it does not exist."""
     lines = file.read_text("utf-8").splitlines() if file.exists() else []
     return [json.loads(line) for line in lines if line.endswith(END)]
 

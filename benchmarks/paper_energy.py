@@ -1,4 +1,4 @@
-"""The readings of the paper's push and pull beside its Table 5: ``python -m benchmarks.paper_energy``.
+"""Compare interpretations of the paper's push and pull with its Table 5: ``python -m benchmarks.paper_energy``.
 
 Push and pull are printed in millimetres, as a sum over the object's vertices. Each reading is fitted by the paper's
 1-DoF at the weights of Table 5, on training clips made for it: a mean shape of unknown size, hands as an estimator has
@@ -33,11 +33,11 @@ from getagrip.synthetic.scene import make_scene, synthesise
 from getagrip.synthetic.scene_options import SceneOptions
 
 STARTS = 6
-"""About as many as the authors' files hold for a category and side."""
+"""Number of initial poses, about as in the authors' files for a category and side."""
 EACH = 2
-"""Clips of each category."""
+"""Number of clips of each category."""
 PAPER = {0.0: "0", 0.1: "0.1", 1.0: "1"}
-"""Rows of Table 5 by weight."""
+"""Labels of rows of Table 5, by weight."""
 COLUMNS = (
     store.Column("iou", "IOU", "%", 1),
     store.Column("lost", "less than without push and pull", "points", 1),
@@ -48,7 +48,7 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Reading:
-    """What multiplies the printed weight of push and of pull."""
+    """An interpretation: factors on the printed weights of push and pull."""
 
     unit: float = 1.0
     """1 for metres, 1000 for millimetres."""
@@ -86,7 +86,7 @@ def problems() -> Iterator[Problem]:
 
 
 def grasps(category: str, options: SceneOptions) -> Float[ndarray, "k 4 4"]:
-    """Return poses of the object in the hand in other clips of the category, in their middle frames."""
+    """Return poses of the object in the hand, from the middle frames of other clips of the category."""
     found = []
     for seed in range(STARTS):
         truth = make_scene(category, SPLIT_SEEDS["train"].stop + seed, replace(options, grip_deg=12.0)).clip.truth
@@ -96,7 +96,7 @@ def grasps(category: str, options: SceneOptions) -> Float[ndarray, "k 4 4"]:
 
 
 def seen_from_afar(clip: Clip) -> Clip:
-    """Place the hand where an estimator of HaMeR's focal length has it: as large in the image, farther away."""
+    """Move the hand to the distance of an estimator with HaMeR's focal length; its image keeps its size."""
     T, K = clip.hand.T_cam_hand.copy(), clip.K.copy()
     T[:, 2, 3] *= VISOR_FOCAL_PX / K[:, 0, 0]
     K[:, [0, 1], [0, 1]] = VISOR_FOCAL_PX
@@ -113,7 +113,7 @@ def fitted(problem: Problem, reading: Reading, weight: float) -> MethodResult:
 
 
 def measured(problem: Problem, found: MethodResult) -> Mapping[str, float]:
-    """Measure a result: IOU in the crops, scale, and what push would be by the three nearest contact vertices."""
+    """Measure a result: IOU in the crops, scale, and push by the three nearest contact vertices."""
     assert found.motion is not None
     assert problem.clip.truth is not None
     poses = poses_in_camera(found.motion, problem.clip.hand.T_cam_hand)
@@ -138,7 +138,7 @@ def main() -> None:
     for problem in problems():
         for name, reading in READINGS.items():
             for weight in PAPER:
-                if weight or name == next(iter(READINGS)):  # without push and pull all readings are one
+                if weight or name == next(iter(READINGS)):  # without push and pull, all readings are equal
                     found.setdefault((name, weight), []).append(measured(problem, fitted(problem, reading, weight)))
         print(problem.clip.name, flush=True)
     printed = published()["Table 5"]["groups"]["1-DoF"]
@@ -154,7 +154,8 @@ def main() -> None:
             {"label": f"{name}, weight {PAPER[weight]}", "iou": round(iou, 1), "lost": round(nothing - iou, 1),
              "scale": round(float(np.median([one["scale"] for one in of])), 2), "push_of_three": round(three / push, 2)}
         )  # fmt: skip
-    about = f"{len(of)} synthetic training clips of {len(of) // EACH} categories; {paper.PAPER_ITERATIONS} iterations of Adam"
+    clips = f"{len(of)} synthetic training clips of {len(of) // EACH} categories"
+    about = f"{clips}; {paper.PAPER_ITERATIONS} iterations of Adam"
     title = "Readings of the paper's push and pull beside its Table 5"
     made = circumstances("python -m benchmarks.paper_energy")
     print(store.write("paper-energy", store.Table(title, made, COLUMNS, rows, notes=(about,))))

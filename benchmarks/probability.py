@@ -2,12 +2,11 @@
 [WORKERS]``.
 
 DEXYCB, OTHER and YCB are the folders of the dataset, of its sequences of the ten other objects, and of its models,
-ARCTIC a folder of clips of ARCTIC's motion (docs/datasets.md). Signs of results go into OUT/rows.jsonl
-(``signed_results``); rows that are there are kept, so that an interrupted run goes on where it stopped. After a change
-of the method another OUT is to be named. All results are fitted (``checks/calibrated.json``), once to what is right in
-the hand and once to what is right in the camera. How good that is, and the thresholds of ``checks.calibration`` for
-measured hands, come from probabilities by objects left out: each result's is of a fit without any result of its object.
-``results/probability-*.json`` and docs/images/reliability.png have it.
+ARCTIC a folder of clips of ARCTIC's motion (docs/datasets.md). Features of results go into OUT/rows.jsonl
+(``signed_results``); existing rows are kept, so an interrupted run continues; a changed method needs another OUT. Two
+fits to all results, for poses right in the hand and in the camera, go into ``checks/calibrated.json``. Its scores
+(``results/probability-*.json``, docs/images/reliability.png), and the thresholds of ``checks.calibration`` for measured
+hands, come from cross-validation by objects: each result's probability is from a fit without its object.
 """
 
 from __future__ import annotations
@@ -57,22 +56,20 @@ COMMAND = "python -m benchmarks.probability OUT DEXYCB OTHER YCB ARCTIC"
 NUMBERS = re.compile(r'\[[-\d.e,\s]*\]|\{\s*"\d[^{}]*\}')
 SECTION, PICTURE = "probability", "reliability.png"
 KEPT = 0.95
-"""Share of right results that the table keeps for."""
+"""Share of right results at which the table keeps."""
 HEADER = (
     "results", "right, %", "mean probability, %", "AUROC", "ECE", "ECE if it were perfect", "kept, %",
     "right of kept, %",
 )  # fmt: skip
-
-
 RESERVE = 0.2
-"""Share of the errors that a threshold allows which is left for objects that were not in the calibration."""
+"""Fraction of a threshold's allowed errors kept in reserve for objects outside the calibration."""
 FEWEST = 50
-"""Least number of results that a threshold holds among."""
+"""Minimum number of results for a threshold."""
 RIDGE = 10.0
-"""Of the weights (``fit_weights``); with 3, as for estimated hands, objects left out are predicted worse."""
+"""Ridge of ``fit_weights``; 3, as for estimated hands, predicts left-out objects worse."""
 Hands = Literal["measured", "corrected", "estimated"]
 Fit = Mapping[Hands, Calibration]
-"""A calibration for each kind of hands that was fitted."""
+"""Calibrations by kind of hands."""
 SIGNS_OF: Mapping[Hands, Sequence[Feature]] = {
     "measured": FEATURES, "corrected": CORRECTED_FEATURES, "estimated": ESTIMATED_FEATURES,
 }  # fmt: skip
@@ -84,59 +81,59 @@ INPUTS_OF: Mapping[Hands, str] = {
 
 
 def hands_of(row: Row) -> Hands:
-    """The hands of a result, which say by what calibration it has a probability."""
+    """Return the kind of hands of a result, which selects its calibration."""
     kind: InputKind = row["kind"]
     return kind if kind in ("measured", "corrected") else "estimated"
 
 
 @dataclass(frozen=True)
 class Results:
-    """What is known of many results, and where they are to be right."""
+    """Rows of many results, and the frame in which they must be right."""
 
     rows: Sequence[Row]
     where: Where = "hand"
 
     @property
     def right(self) -> Bool[ndarray, "n"]:
-        """Which are right."""
+        """True for right results."""
         return self.rank == 1.0
 
     @property
     def rank(self) -> Float[ndarray, "n"]:
-        """Which candidate is the first that is right; infinite where none is."""
+        """Number of the first right candidate, from 1; infinite if all are wrong."""
         return np.array([row["rank"][self.where] or np.inf for row in self.rows])
 
     @property
     def objects(self) -> ndarray:
-        """The object of each."""
+        """Object of each result."""
         return np.array([row["category"] for row in self.rows])
 
     @property
     def clips(self) -> int:
-        """How many clips they are of."""
+        """Number of clips."""
         return len({row["clip"] for row in self.rows})
 
     @property
     def weights(self) -> Float[ndarray, "B n"]:
-        """How often each is in each bootstrap resample; results of a clip are drawn together."""
+        """Count of each result in each bootstrap resample; results of a clip are drawn together."""
         return bootstrap_resamples([row["clip"] for row in self.rows])
 
     def only(self, **what: object) -> Results:
-        """Those with some entries."""
+        """Select the results with given entries of their rows."""
         return replace(self, rows=[row for row in self.rows if all(row[key] == value for key, value in what.items())])
 
     def without(self, category: str) -> Results:
-        """Those of other objects."""
+        """Select the results of other objects."""
         return replace(self, rows=[row for row in self.rows if row["category"] != category])
 
     def fitted(self, made: str) -> Fit:
-        """Fit the weights of the signs, of corrected hands apart."""
+        """Fit the weights of the features, for each kind of hands."""
         hands = [hands_of(row) for row in self.rows]
         groups = {one: [row for row, of in zip(self.rows, hands, strict=True) if of == one] for one in {*hands}}
         return {one: replace(self, rows=rows).fit(one, made) for one, rows in groups.items()}
 
     def fit(self, hands: Hands, made: str) -> Calibration:
-        """Fit the weights of the signs to all of them."""
+        """Fit the weights of the features of one kind of hands to all results."""
         counted = SIGNS_OF[hands]
         signs = np.array([[row["signs"][sign.name] for sign in counted] for row in self.rows])
         weights, bias = fit_weights(signs, self.right, [sign.direction for sign in counted], RIDGE)
@@ -149,18 +146,18 @@ class Results:
         return Calibration(self.where, by_sign, bias, data, made)
 
     def probability(self, fit: Fit) -> Float[ndarray, "n"]:
-        """Compute the probability of each."""
+        """Compute the probability of each result."""
         return np.array([fit[hands_of(row)].probability(row["signs"]).value for row in self.rows])
 
     def without_own_object(self) -> Float[ndarray, "n"]:
-        """Compute the probability of each by a fit without its own object."""
+        """Compute the probability of each result by a fit without its object."""
         of, out = self.objects, np.empty(len(self.rows))
         for category in dict.fromkeys(of.tolist()):
             out[of == category] = self.only(category=category).probability(self.without(category).fitted(""))
         return out
 
     def keeping(self, probability: Float[ndarray, "n"], reserve: float = 0.0) -> KeepThresholds:
-        """Choose the thresholds, with some share of the errors that they allow in reserve."""
+        """Choose the thresholds, with a fraction of their allowed errors in reserve."""
         least = {
             share: keep_threshold(probability, self.right, share + reserve * (1.0 - share)) for share in KEEP_SHARES
         }
@@ -170,20 +167,20 @@ class Results:
 
 @dataclass(frozen=True)
 class Judged:
-    """Results with probabilities by objects left out, and which of them are kept by thresholds of the other objects."""
+    """Cross-validated results: probabilities, and marks of kept results, by calibrations on the other objects."""
 
     results: Results
     probability: Float[ndarray, "n"]
     kept: Bool[ndarray, "n"]
 
     def only(self, **what: object) -> Judged:
-        """Those with some entries."""
+        """Select the results with given entries of their rows."""
         some = np.array([all(row[key] == value for key, value in what.items()) for row in self.results.rows])
         return Judged(self.results.only(**what), self.probability[some], self.kept[some])
 
 
 def judged(results: Results) -> Judged:
-    """Hold every result against other objects: fits and thresholds of the others, whose fits have no part of it."""
+    """Cross-validate by objects: fits and thresholds of an object's results come from the other objects."""
     p, kept = np.empty(len(results.rows)), np.zeros(len(results.rows), dtype=bool)
     for category in dict.fromkeys(results.objects.tolist()):
         own, others = results.objects == category, results.without(category)
@@ -195,10 +192,10 @@ def judged(results: Results) -> Judged:
 
 
 def thresholds(results: Results, probability: Float[ndarray, "n"]) -> dict[InputKind, KeepThresholds]:
-    """The thresholds for hands as they came, and for corrected ones.
+    """Choose the thresholds for measured and for corrected hands.
 
-    Each holds among the results of those hands under each condition of ``ALWAYS`` that has ``FEWEST`` of them, with
-    ``RESERVE``. Of hands as they came, which may be wrong without a sign of it, none is below the share itself.
+    A threshold holds, with ``RESERVE``, under each condition of ``ALWAYS`` with at least ``FEWEST`` results of these
+    hands. For measured hands, whose errors may be undetected, it is at least the share itself.
     """
     kinds, conditions = (np.array([row[key] for row in results.rows]) for key in ("kind", "condition"))
     out = dict[InputKind, KeepThresholds]()
@@ -220,12 +217,12 @@ def thresholds(results: Results, probability: Float[ndarray, "n"]) -> dict[Input
 
 
 def of(results: Results, key: str) -> list[str]:
-    """The different entries of a column."""
+    """Return the distinct entries of a column."""
     return sorted({row[key] for row in results.rows})
 
 
 def stored(calibrations: Iterable[Calibration]) -> dict[str, object]:
-    """The calibrations as ``calibrated.json`` holds them."""
+    """Return the calibrations as entries of ``calibrated.json``."""
 
     def short(*numbers: float) -> list[float]:
         return [float(f"{number:.5g}") for number in numbers]
@@ -240,7 +237,7 @@ def stored(calibrations: Iterable[Calibration]) -> dict[str, object]:
 
 
 def write(file: Path, keeping: Mapping[tuple[InputKind, Where], KeepThresholds] | None = None, **parts: object) -> None:
-    """Replace parts of ``calibrated.json``, of the thresholds those of some inputs; lists of numbers take a line."""
+    """Replace parts of ``calibrated.json`` and the thresholds of some inputs; a list of numbers takes one line."""
     record = json.loads(file.read_text(encoding="utf-8"))
     new = {
         key: {part: {f"{n}": float(f"{p:.4g}") for n, p in least.items()} for part, least in vars(one).items()}
@@ -253,7 +250,7 @@ def write(file: Path, keeping: Mapping[tuple[InputKind, Where], KeepThresholds] 
 
 
 def tables(rows: Sequence[Row], held: Mapping[Where, Judged], fits: Mapping[Where, Fit]) -> dict[str, Table]:
-    """One for right in the hand, one for right in the camera."""
+    """Make a table for results right in the hand, and one for the camera."""
     every = Results(rows)
     commits = sorted({made.partition(", commit ")[2].split()[0] for made in of(every, "made")})
     about = (
@@ -276,7 +273,7 @@ def tables(rows: Sequence[Row], held: Mapping[Where, Judged], fits: Mapping[Wher
 
 
 def _lines(held: Judged, fit: Fit) -> Iterator[list[str]]:
-    """By condition, the most important first; by dataset; all, and all with their own object in the fit."""
+    """Yield rows by condition, by dataset, of all results, and of all with their own object in the fit."""
     conditions = of(held.results, "condition")
     for condition in (*ALWAYS, *(each for each in conditions if each not in ALWAYS)):
         yield line(condition, held.only(condition=condition))
@@ -287,7 +284,7 @@ def _lines(held: Judged, fit: Fit) -> Iterator[list[str]]:
 
 
 def _of_estimated(results: Results) -> Iterator[list[str]]:
-    """Estimated hands, which have a probability of their own, of the objects that have no part in it."""
+    """Yield a row of estimated hands, by their own calibration, of objects outside it."""
     others = results.only(dataset=OTHER)
     if others.rows:
         p = others.probability({"estimated": ESTIMATED_CALIBRATIONS[METHOD, results.where]})
@@ -296,7 +293,7 @@ def _of_estimated(results: Results) -> Iterator[list[str]]:
 
 
 def total(label: str, held: Judged) -> list[str]:
-    """A line that sums up others, with the interval of the AUROC."""
+    """Make a row of a total, with the interval of the AUROC."""
     low, high = auroc_interval(held.probability, held.results.right, held.results.weights)
     cells = line(label, held)
     cells[1 + HEADER.index("AUROC")] += f" [{low:.2f}, {high:.2f}]"
@@ -304,7 +301,7 @@ def total(label: str, held: Judged) -> list[str]:
 
 
 def line(label: str, held: Judged) -> list[str]:
-    """A line of the table."""
+    """Make a row of the table."""
     p, right, kept = held.probability, held.results.right, held.kept
     area = auroc(p, right)
     return [
@@ -315,7 +312,7 @@ def line(label: str, held: Judged) -> list[str]:
 
 
 def draw(held: Mapping[Where, Judged], path: Path) -> None:
-    """The reliability diagrams: share that is right over probability, and how many results have it."""
+    """Draw the reliability diagrams: share of right results, and number of results, over probability."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -335,7 +332,7 @@ def draw(held: Mapping[Where, Judged], path: Path) -> None:
 
 
 def _diagram(upper: Axes, lower: Axes, held: Judged) -> None:
-    """One frame's."""
+    """Draw the diagram of one frame."""
     upper.plot([0, 1], [0, 1], color="0.7", linewidth=1, label="perfect")
     for label, some in ((name, held.only(condition=name)) for name in ALWAYS):
         found = bins(some.probability, some.results.right)
@@ -356,14 +353,14 @@ def _diagram(upper: Axes, lower: Axes, held: Judged) -> None:
 
 
 def left_out(every: Results) -> str:
-    """How many results have no probability, since a finding is serious, and how many of these are right."""
+    """Describe the results without a probability, which have serious findings, and the right ones among them."""
     flagged = replace(every, rows=[row for row in every.rows if row["serious"]])
     right = f"{flagged.right.sum()} of them right in the hand"
     return f"a finding was serious for {len(flagged.rows)} of them, {right}: these have no probability"
 
 
 def main(out: Path, root: Path, other: Path, meshes: Path, arctic: Path, workers: int) -> None:
-    """Collect, fit, and put the measurements into the page."""
+    """Collect rows, calibrate, and write calibration and tables."""
     every = cases(out, root, other, meshes, arctic)
     if {OTHER} & {case.dataset for case in every} and not test_runs.noted(SECTION, test_runs.commit()):
         test_runs.note(SECTION, COMMAND)
@@ -373,9 +370,9 @@ def main(out: Path, root: Path, other: Path, meshes: Path, arctic: Path, workers
 
 
 def report(rows: Sequence[Row]) -> None:
-    """Fit all results of measured hands, hold them against fits without their objects, and write both down.
+    """Fit all results of measured hands, cross-validate by objects, and write calibration and tables.
 
-    Results with a serious finding have no probability, and are no part of it.
+    Results with a serious finding have no probability and are excluded.
     """
     made, how = date_and_commit(), circumstances(COMMAND)  # before anything is written
     used = [row for row in rows if hands_of(row) != "estimated" and not row["serious"]]

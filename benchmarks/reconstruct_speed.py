@@ -1,4 +1,4 @@
-"""The whole ``reconstruct`` with default options: time, its split by stage, memory, and what a first start costs."""
+"""Cost of ``reconstruct`` with default options: time, time by stage, memory, and the cost of a first start."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from getagrip.result import Reconstruction
 from getagrip.synthetic.scene import synthesise
 
 CLIPS = (("mug", 0), ("pan", 0), ("kettle", 0), ("scissors", 0))
-"""Category and seed: a hollow object with a handle, a large one, one of several parts, a thin one."""
+"""Categories and seeds: a hollow object with a handle, a large, a composite and a thin object."""
 REPEATS, IN_TURN = 15, 9
 DEFAULT = Options()
 
@@ -39,7 +39,7 @@ def tables() -> dict[str, Table]:
     made = [synthesise(category, seed) for category, seed in CLIPS]
     for clip, masks in made:
         call = reconstruction(clip, masks)
-        call()  # compiles, or loads what was compiled
+        call()  # compiles kernels or loads them
         timing, results = timed(call, REPEATS)
         off = evaluate(results[0], clip, masks, wanted=(ADD_SYM_MM,)).metrics[ADD_SYM_MM.name] / clip.mesh.diameter
         times.append([
@@ -65,7 +65,7 @@ def tables() -> dict[str, Table]:
 def reconstruction(
     clip: Clip, masks: Masks, options: Options = DEFAULT, threads: int = 1
 ) -> Callable[[], Reconstruction]:
-    """A call that reconstructs the clip as if it had just been read: meshes keep their tables, a new one has none.
+    """Return a call that reconstructs a newly read clip, whose mesh has no cached tables.
 
     The ``seconds`` of its results are processor time.
     """
@@ -80,7 +80,7 @@ def reconstruction(
 
 
 def _fresh(clip: Clip, masks: Masks) -> Table:
-    """Start a process twice: with an empty cache of compiled kernels, then with the one that the first filled."""
+    """Start a process twice: with an empty cache of kernels, then with the filled one."""
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
         folder = write_clip(clip, masks, Path(scratch) / "clip")
@@ -102,7 +102,7 @@ def _child(folder: Path, environment: dict[str, str]) -> str:
 
 
 def two_threads() -> dict[str, Table]:
-    """What a second thread gains for a clip that is waited for: with one and with two, in turn."""
+    """Measure the gain from a second thread for a single clip, with one and two threads in turn."""
     rows = []
     for category, seed in CLIPS:
         clip, masks = synthesise(category, seed)

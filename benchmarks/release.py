@@ -40,7 +40,7 @@ BENCHES = {
     "dexycb-other-final-evidence": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
     "--ablation final-evidence --clips 48 --keep 0.95",
 }
-"""By the name of the table that each makes.
+"""Commands, by the name of their table.
 
 Minutes on a small virtual machine whose two CPUs are threads of one core, imports included: 30, 6, 6, 6, 3 and 5; from
 a part of the clips, 16 and 5 for the test objects. A row of a clip takes 2 s of a CPU, evaluated and written.
@@ -48,7 +48,7 @@ a part of the clips, 16 and 5 for the test objects. A row of a clip takes 2 s of
 
 
 def main(words: Sequence[str]) -> int:
-    """Run the benches, put their tables into ``results/``, and sum up; 1 if one failed, else 0."""
+    """Run the benchmarks, put their tables into ``results/``, and summarise; 1 if one failed, else 0."""
     from benchmarks import test_runs
 
     parser = _parser()
@@ -79,7 +79,7 @@ def main(words: Sequence[str]) -> int:
 
 
 def _keep(name: str, folder: Path, write: bool) -> str:
-    """Put the tables of a bench into ``results/``. Raises ``FileNotFoundError`` or ``KeyError`` without its own."""
+    """Put the tables of a benchmark into ``results/``. Raises ``FileNotFoundError`` or ``KeyError`` if missing."""
     from benchmarks import results
 
     rows = len(results.found(folder)[name].rows)

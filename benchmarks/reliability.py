@@ -1,8 +1,8 @@
-"""Probabilities of being right: fitted to what was right, and held against it.
+"""Fit probabilities that results are right, and score them.
 
-A probability is calibrated where of the results with a probability of p a share of p is right. Its expected calibration
-error (ECE) is the mean distance between the two over bins of p, weighted by how many results are in each. Of few
-results it is above zero for perfect probabilities, too (``least_error``).
+A probability is calibrated if a share p of the results with probability p is right. Its expected calibration error
+(ECE) is the mean distance between the two over bins of p, weighted by the number of results. For few results, even
+perfect probabilities have an error above zero (``least_error``).
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from getagrip.bench.comparison import CONFIDENCE_LEVEL
 from getagrip.checks.calibration import FeatureWeight, sigmoid
 
 BINS = 10
-"""Of the same width."""
+"""Number of bins, of equal width."""
 RIDGE = 3.0
-"""Of weights by one standard deviation; half its square counts as much as one result's negative log-likelihood."""
+"""Ridge penalty of weights of standardised features, in negative log-likelihood: half of it times the square."""
 OUTER = 0.01
-"""Share of the values of a sign, at either end, that are held at the range's end."""
+"""Fraction of a feature's values, at each end, that are clipped."""
 
 
 @dataclass(frozen=True)
@@ -30,18 +30,18 @@ class Bin:
     """Results of similar probability."""
 
     probability: float
-    """Their mean."""
+    """Mean probability."""
     right: float
-    """Share of them that is right."""
+    """Share of right results."""
     count: int
 
 
 def fit_weights(
     signs: Float[ndarray, "n S"], right: Bool[ndarray, "n"], directions: Sequence[int], ridge: float = RIDGE
 ) -> tuple[list[FeatureWeight], float]:
-    """The logistic regression of what is right on signs, and its bias: most likely, under a ridge.
+    """Fit a logistic regression of right results on features, with a ridge; return weights and bias.
 
-    A sign whose direction is 1 gets no weight below 0, of -1 none above. Signs must be known (not NaN).
+    A direction of 1 excludes negative weights, -1 positive ones. ``signs`` must not be NaN.
     """
     from scipy.optimize import minimize
 
@@ -65,9 +65,9 @@ def fit_weights(
 
 
 def auroc(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"]) -> float:
-    """Share of pairs of a right and a wrong result in which the right one is the more probable; ties count half.
+    """Compute the share of pairs of a right and a wrong result in which the right one is more probable; ties count 0.5.
 
-    NaN where there are none of either.
+    NaN without right or without wrong results.
     """
     rights, wrongs = probability[right], np.sort(probability[~right])
     if not len(rights) or not len(wrongs):
@@ -79,7 +79,7 @@ def auroc(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"]) -> float:
 def auroc_interval(
     probability: Float[ndarray, "n"], right: Bool[ndarray, "n"], weights: Float[ndarray, "B n"]
 ) -> tuple[float, float]:
-    """The interval of ``auroc`` over bootstrap resamples (``statistics.resamples``), of the level ``CONFIDENCE_LEVEL``."""
+    """Compute the interval of ``auroc`` over bootstrap resamples ``weights``, at the level ``CONFIDENCE_LEVEL``."""
     ahead = probability[right, None] - probability[~right]
     won = weights[:, right] @ np.heaviside(ahead, 0.5)
     pairs = weights[:, right].sum(axis=1) * weights[:, ~right].sum(axis=1)
@@ -89,19 +89,19 @@ def auroc_interval(
 
 
 def bins(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"]) -> list[Bin]:
-    """The results by their probability, bins without any left out."""
+    """Group the results by probability; empty bins are left out."""
     number = np.minimum((probability * BINS).astype(int), BINS - 1)
     of_bin = [number == k for k in range(BINS)]
     return [Bin(float(probability[b].mean()), float(right[b].mean()), int(b.sum())) for b in of_bin if b.any()]
 
 
 def calibration_error(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"]) -> float:
-    """The expected calibration error."""
+    """Compute the expected calibration error."""
     return sum(b.count * abs(b.probability - b.right) for b in bins(probability, right)) / len(right)
 
 
 def least_error(probability: Float[ndarray, "n"], draws: int = 500) -> float:
-    """The mean calibration error if these probabilities were perfect: what is right is drawn by them."""
+    """Compute the mean calibration error of perfect probabilities: right results are drawn by them."""
     rng = np.random.default_rng(0)
     drawn = rng.random((draws, len(probability))) < probability
     return float(np.mean([calibration_error(probability, right) for right in drawn]))

@@ -1,4 +1,4 @@
-"""Put what benches measured into ``results/``, and its numbers into README and pages: ``python -m benchmarks.results DIR...``.
+"""Copy the tables of benchmarks into ``results/``, and numbers into pages: ``python -m benchmarks.results DIR...``.
 
 Each folder is one that was given to ``getagrip bench --out``. A table is named like the folder and its file:
 ``out/dexycb/inputs.csv`` becomes ``results/dexycb-inputs.json``, and ``inputs-clips.csv``, its numbers by clip,
@@ -29,7 +29,7 @@ from getagrip.metrics.evaluate.metric import METRICS
 
 README = store.ROOT / "README.md"
 PICTURES = store.ROOT / "docs/images"
-"""Plots that a page shows; others stay where ``bench`` has drawn them."""
+"""Plots of pages; other plots stay in the folder of ``bench``."""
 MADE = re.compile(r"(?:; )?made (\d{4}-\d\d-\d\d)(?:, commit (\w+))?.*")
 SERIOUS = {check.name for check in (*INPUT_CHECKS.values(), *RESULT_CHECKS.values()) if check.serious}
 LABELLED = {metric.label: metric for metric in METRICS.values() if metric.label}
@@ -55,7 +55,7 @@ def main(folders: Sequence[Path]) -> None:
 
 
 def found(folder: Path) -> dict[str, Table]:
-    """The tables of a folder, by their names. Raises ``FileNotFoundError`` where there is none."""
+    """Read the tables of a folder, by name. Raises ``FileNotFoundError`` without any."""
     tables: dict[str, Table] = {}
     for page in sorted(folder.glob("*.md")):
         name = f"{folder.resolve().name}-{page.stem}"
@@ -73,7 +73,7 @@ def found(folder: Path) -> dict[str, Table]:
 
 
 def bench(name: str, numbers: Path) -> Table:
-    """A table of clips: over all of them, or of each category.
+    """Make a table of clips: over all of them, or of each category.
 
     Made of ``NAME.csv``, which has the means, ``NAME-clips.csv``, which has what was found of each clip, and the title
     and the settings in ``NAME.md``.
@@ -105,7 +105,7 @@ def bench(name: str, numbers: Path) -> Table:
 
 
 def _column(label: str) -> Column:
-    """The column of a line of the CSV."""
+    """Return the column of a line of the CSV file."""
     if label == "seconds (median)":
         return Column("seconds", "s", "s", 2)
     label = label.removesuffix(" (median)")
@@ -118,7 +118,7 @@ def _column(label: str) -> Column:
 
 
 def _estimate(line: Mapping[str, str], prefix: str, column: Column) -> Cell:
-    """A mean with its interval, or a median; shares in per cent."""
+    """Parse a mean with its interval, or a median; shares in per cent."""
     factor = 100.0 if column.unit == "%" else 1.0
     value, low, high = (factor * float(line[f"{prefix}{key}"] or "nan") for key in ("mean", "low", "high"))
     if math.isnan(value):
@@ -127,10 +127,12 @@ def _estimate(line: Mapping[str, str], prefix: str, column: Column) -> Cell:
 
 
 def _of_clips(rows: Mapping[str, dict[str, Cell]], path: Path) -> dict[str, Column]:
-    """Counts of results: failed, ambiguous, wrong, flagged by the checks; added to the rows. Their columns."""
+    """Add counts of failed, ambiguous, wrong and flagged results to the rows; return their columns."""
     by_setting = defaultdict(list)
     for line in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
-        by_setting[line["method"], line["setting"].removeprefix("'")].append(line)  # bars a spreadsheet's formula
+        by_setting[line["method"], line["setting"].removeprefix("'")].append(
+            line
+        )  # the apostrophe that keeps spreadsheets from reading a formula
     for label, row in rows.items():
         lines = _lines_of(label, by_setting)
         if not lines:
@@ -160,7 +162,7 @@ def _of_clips(rows: Mapping[str, dict[str, Cell]], path: Path) -> dict[str, Colu
 
 
 def _lines_of(label: str, by_setting: Mapping[tuple[str, str], list[dict[str, str]]]) -> list[dict[str, str]]:
-    """The lines of a row: of its method and setting, or of its setting alone, where the method is another in each row.
+    """Select the lines of a row, by method and setting; by setting alone if methods differ between rows.
 
     None where several rows share their results, as by several definitions of contact.
     """
@@ -170,7 +172,7 @@ def _lines_of(label: str, by_setting: Mapping[tuple[str, str], list[dict[str, st
 
 
 def _page(path: Path) -> tuple[str, list[str], list[str]]:
-    """Title, what was run, and settings, of a page of ``bench``."""
+    """Split a page of ``bench`` into title, description of the run, and settings."""
     title, *lines = path.read_text(encoding="utf-8").splitlines()
     listed = [line.removeprefix("- ") for line in lines if line.startswith("- ")]
     count = next((n for n, line in enumerate(lines) if line.startswith("|")), 0)
@@ -179,7 +181,7 @@ def _page(path: Path) -> tuple[str, list[str], list[str]]:
 
 
 def printed(name: str, page: Path) -> Table:
-    """The table of a page that has one, of segments and timelines."""
+    """Read the only table of a page of segments or timelines."""
     title, before, after = _page(page)
     lines = [line for line in page.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
     header, _, *body = ([cell.strip() for cell in line[1:-1].split("|")] for line in lines)
@@ -191,12 +193,12 @@ def printed(name: str, page: Path) -> Table:
 
 
 def _title(name: str, title: str) -> str:
-    """The title that a table has had, else its page's behind its name, since pages call all tables "Methods"."""
+    """Return a table's earlier title, else its name and its page's title (most pages are called "Methods")."""
     return store.read(name).title if name in store.names() else f"{name}: {title}"
 
 
 def _made(name: str, text: str) -> dict[str, str]:
-    """When, at which commit, by which command and where, as far as it is known: output of today was made here."""
+    """Describe date, commit, command and machine as far as known; only output of today was made on this machine."""
     how = MADE.search(text) or MADE.search(f"made {date_and_commit()}")
     day, commit = how.groups() if how else (None, None)
     before = dict(store.read(name).made) if name in store.names() else {}

@@ -1,4 +1,4 @@
-"""How the cost of a reconstruction grows with frames, initial poses and faces."""
+"""Growth of a reconstruction's cost with the number of frames, initial poses and faces."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def tables() -> dict[str, Table]:
     long, long_masks = synthesise(CATEGORY, 0, SceneOptions(frames=max(FRAMES)))
     clip, masks = synthesise(CATEGORY, 0)
     area = float(clip.mesh.vertex_areas.sum())
-    # As many vertices as there may be faces: more than enough of these, to be thinned.
+    # Subdivided to as many vertices as the largest number of faces; ``decimate`` reduces it.
     fine = Mesh(*subdivide_surface(clip.mesh.vertices, clip.mesh.faces, edge_length(area, max(FACES))))
     curves: tuple[tuple[str, tuple[int, ...], Callable[[int], Callable[[], Reconstruction]]], ...] = (
         ("frames", FRAMES, lambda n: reconstruction(long, long_masks, Options(frames=n))),
@@ -39,7 +39,7 @@ def tables() -> dict[str, Table]:
 
 
 def _measure(name: str, sizes: tuple[int, ...], call_at: Callable[[int], Callable[[], Reconstruction]]) -> Table:
-    """Measure the cost against one size, everything else as by default: the least of the repetitions' CPU time."""
+    """Measure the cost against one size, other sizes at their defaults: the minimum CPU time of the repetitions."""
     seconds, stages = [], []
     for size in sizes:
         call = call_at(size)

@@ -1,4 +1,4 @@
-"""Stable grasps of a long sequence: contacts of a hand and an object that always move, then the intervals."""
+"""Cost of finding stable grasps in long sequences: contacts of a moving hand and object, then intervals."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from getagrip.stable_grasps.find import PairwiseIou, contact_sets, stable_grasps
 from getagrip.synthetic import objects
 
 FRAMES = 2000
-"""Of the sequence whose contacts are timed."""
+"""Length of the sequence whose contacts are timed."""
 LONG = 10_000
-"""Frames whose intervals are timed."""
+"""Numbers of frames whose intervals are timed."""
 OBJECT = 500
-"""Vertices."""
+"""Numbers of vertices."""
 REPEATS = 3
 
 
@@ -53,7 +53,7 @@ def tables() -> dict[str, Table]:
 
 
 def sequence(frames: int) -> Clip:
-    """A hand whose fingers move around a mug that moves in it, all the time."""
+    """Make a hand with moving fingers around a mug that moves in it, in all frames."""
     rng = np.random.default_rng(0)
     pose = np.zeros((frames, 5, 3, 3))
     pose[:, :4, :, 2] = (0.5 + 0.1 * np.sin(np.linspace(0.0, 40.0, frames)))[:, None, None]
@@ -75,12 +75,12 @@ def sequence(frames: int) -> Clip:
 
 
 def walk(rng: np.random.Generator, frames: int, numbers: int) -> Float[ndarray, "T n"]:
-    """Random walks of unit standard deviation at 1000 frames."""
+    """Draw random walks with unit standard deviation at frame 1000."""
     return np.cumsum(rng.normal(size=(frames, numbers)), axis=0) / np.sqrt(1000.0)
 
 
 def long_contacts(contact: Bool[ndarray, "T V"]) -> dict[str, Bool[ndarray, "N V"]]:
-    """Long sequences: that one over and over; and one grasp from end to end, in which every pair has to be compared."""
+    """Make long sequences: repetitions of a sequence; and one grasp throughout, where every pair must be compared."""
     rng = np.random.default_rng(0)
     held = np.tile(rng.random(contact.shape[1]) < 0.5, (LONG, 1))
     return {

@@ -1,4 +1,4 @@
-"""Results with their signs, and whether they are right: what ``benchmarks.probability`` is fitted to and tested on.
+"""Results with features and correctness, the data of ``benchmarks.probability``.
 
 Clips of thirty real objects are reconstructed by the default method under ``CONDITIONS``:
 each as it is and with hands at two levels of errors, and under one of the other conditions by turns.
@@ -28,20 +28,20 @@ from getagrip.synthetic.noise import NOISE_PRESETS, Noise
 DEXYCB, OTHER, ARCTIC = "DexYCB", "DexYCB, the ten others", "ARCTIC"
 """Names of the datasets."""
 PER_OBJECT = {DEXYCB: 12, OTHER: 12, ARCTIC: 5}
-"""Most clips of an object, evenly spaced."""
+"""Maximum number of clips of an object, evenly spaced."""
 Change = Callable[[Clip, Masks, int], tuple[Clip, Masks]]
 TEN = Noisy(Noise(hand_bias_mm=10.0, hand_bias_deg=8.0, hand_jitter_mm=5.0, hand_jitter_deg=4.0, jitter_memory_s=0.1))
 STRONG = Noisy(NOISE_PRESETS["strong"])
 
 
 def unseen_hand(clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
-    """As far off as ``TEN``, and no pixels of the hand to mend it by."""
+    """Add the noise ``TEN``, and remove the hand pixels that could correct it."""
     clip, masks = TEN(clip, masks, seed)
     return clip, replace(masks, ignore=np.zeros_like(masks.ignore), hand=None)
 
 
 ALWAYS: dict[str, Change] = {"as it is": UNCHANGED, "10 mm, 8°": TEN, "strong": STRONG}
-"""What is done to every clip of ``PER_OBJECT``."""
+"""Changes of every clip of ``PER_OBJECT``, by condition."""
 BY_TURNS: dict[str, Change] = {
     "other size": OtherSize(),
     "moderate": Noisy(NOISE_PRESETS["moderate"]),
@@ -53,13 +53,13 @@ BY_TURNS: dict[str, Change] = {
     "other shape": OtherObject(),
     "10 mm, 8°, no hand pixels": unseen_hand,
 }
-"""Of these each clip gets one: the next."""
+"""Other changes, of which each clip gets the next one."""
 CONDITIONS = ALWAYS | BY_TURNS
 
 
 @dataclass(frozen=True)
 class Case:
-    """A clip, and what is to be done with it."""
+    """A clip and its change."""
 
     dataset: str
     clip: str
@@ -68,7 +68,7 @@ class Case:
 
     @property
     def key(self) -> tuple[str, ...]:
-        """What its row is known by: ``KEY``."""
+        """Key of the row (``KEY``)."""
         return self.dataset, self.clip, self.condition
 
 
@@ -82,7 +82,7 @@ def read_from(folder: Path, condition: str) -> tuple[Clip, Masks]:
 
 
 def cases(out: Path, root: Path, other: Path, meshes: Path, arctic: Path) -> list[Case]:
-    """All cases, those of ``ALWAYS`` first, in a random order: an interrupted run has a sample of everything.
+    """List all cases in random order, cases of ``ALWAYS`` first: an unfinished file is a sample of all cases.
 
     ``root`` and ``other`` are DexYCB's sequences, ``meshes`` its models, ``arctic`` a folder of clips.
     """
@@ -96,7 +96,7 @@ def cases(out: Path, root: Path, other: Path, meshes: Path, arctic: Path) -> lis
 
 
 def _cases(folders: dict[str, dict[str, Path]]) -> Iterator[Case]:
-    """Clip by clip, object by object."""
+    """Yield cases clip by clip, object by object."""
     turns = [*BY_TURNS]
     for dataset, clips in folders.items():
         by_object = defaultdict[str, list[str]](list)
@@ -108,17 +108,17 @@ def _cases(folders: dict[str, dict[str, Path]]) -> Iterator[Case]:
 
 
 def evenly(names: Sequence[str], most: int) -> list[str]:
-    """Return at most that number of them, evenly spaced."""
+    """Return at most that number of items, evenly spaced."""
     return [names[n] for n in np.unique(np.linspace(0, len(names) - 1, min(most, len(names))).round().astype(int))]
 
 
 def row(case: Case) -> Row | None:
-    """Reconstruct a clip: its signs, and where it is right; None where that fails."""
+    """Reconstruct a case, and return its row; None on failure."""
     start = time.process_time()
     try:
         clip, masks = case.make()
         result = reconstruct(clip, masks, Options(every_frame=False))
-    except Exception as error:  # one clip's trouble must not end the others
+    except Exception as error:  # an error in one clip must not end the others
         print(f"{case.key}: {error}", file=sys.stderr)
         return None
     about = {"category": clip.category, "seconds": time.process_time() - start}

@@ -1,4 +1,4 @@
-"""Tables of results: ``results/*.json``, the only store of what was measured; one file a table, one line a row.
+"""Tables of results: ``results/*.json``, the only store of measurements; a file per table, a line per row.
 
 ``results/clips/TABLE.csv.gz`` has a table's numbers by clip, where they were kept.
 """
@@ -20,7 +20,7 @@ RESULTS = ROOT / "results"
 CLIPS = RESULTS / "clips"
 
 Cell = float | str | list[float | None] | dict[str, int] | None
-"""A number, a text, a value with the ends of its interval (and how many it is of), counts by name, or nothing."""
+"""A number, a text, a value with the ends of its interval (and its count), counts by name, or nothing."""
 Row = Mapping[str, Cell]
 """Cells by the keys of the columns, and the row's label."""
 
@@ -29,12 +29,12 @@ NUMBER = re.compile(r"[+−-]?\d[\d,]*(\.\d+)?")
 MARKUP = re.compile(r"</?su[bp]>|</?u>|\*\*")
 UNITS = {"%", "mm", "m", "px", "°", "s", "ms", "MB"}
 COLUMN_KEYS = {"s": "seconds", "truth's SCA": "truth_sca", "right in the camera, %": "right_in_camera"}
-"""Keys of columns whose labels do not make one."""
+"""Keys of columns whose labels are unsuitable as keys."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """What a column holds."""
+    """A column: key, label, unit."""
 
     key: str
     label: str
@@ -47,26 +47,26 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """What was measured in one go."""
+    """The measurements of one run."""
 
     title: str
     made: Mapping[str, str]
-    """Date, commit, command, machine, versions: what is known of them."""
+    """Date, commit, command, machine, versions, as far as known."""
     columns: Sequence[Column]
     rows: Sequence[Row]
     differences: Sequence[Row] = ()
-    """Differences in pairs, with the label of the row that each is ``against``."""
+    """Paired differences, each with the label of its baseline row, ``against``."""
     notes: Sequence[str] = field(default_factory=tuple)
     """Settings and explanations."""
 
     def column(self, key: str) -> Column:
-        """A column. Raises ``KeyError``."""
+        """Return a column by its key. Raises ``KeyError``."""
         return next((column for column in self.columns if column.key == key), None) or _missing(
             key, (column.key for column in self.columns)
         )
 
     def row(self, key: str, among: str = "rows") -> Row:
-        """A row, or a difference, by the key of its label. Raises ``KeyError``."""
+        """Return a row, or a difference, by the key of its label. Raises ``KeyError``."""
         rows: Sequence[Row] = getattr(self, among)
         return next((row for row in rows if key_of(row) == key), None) or _missing(key, map(key_of, rows))
 
@@ -76,18 +76,18 @@ def _missing(key: str, known: Iterable[str]) -> Any:
 
 
 def slug(label: str, joint: str = "-") -> str:
-    """A key made of a label: "soft-hinge, 2.5 mm, 2°" is soft-hinge-2-5-mm-2."""
+    """Make a key from a label: "soft-hinge, 2.5 mm, 2°" is soft-hinge-2-5-mm-2."""
     return re.sub(r"[^a-z0-9]+", joint, label.lower()).strip(joint)
 
 
 def key_of(row: Row) -> str:
-    """A row's key."""
+    """Return a row's key."""
     return slug(str(row["label"]))
 
 
 @cache
 def read(name: str, folder: Path = RESULTS) -> Table:
-    """A table. Raises ``KeyError`` where there is none of the name."""
+    """Read a table. Raises ``KeyError`` for an unknown name."""
     path = folder / f"{name}.json"
     if not path.is_file():
         _missing(name, names(folder))
@@ -96,7 +96,7 @@ def read(name: str, folder: Path = RESULTS) -> Table:
 
 
 def names(folder: Path = RESULTS) -> list[str]:
-    """All tables."""
+    """Read all tables."""
     return sorted(path.stem for path in folder.glob("*.json"))
 
 
@@ -115,7 +115,7 @@ def write(name: str, table: Table, folder: Path = RESULTS) -> Path:
 
 
 def write_clips(name: str, text: str, folder: Path = CLIPS) -> Path:
-    """Keep a table's numbers by clip, a CSV file; the same numbers are the same bytes."""
+    """Write a table's numbers by clip, a CSV file, compressed; equal numbers give equal bytes."""
     folder.mkdir(exist_ok=True)
     path = folder / f"{name}.csv.gz"
     path.write_bytes(gzip.compress(text.encode(), mtime=0))
@@ -123,7 +123,7 @@ def write_clips(name: str, text: str, folder: Path = CLIPS) -> Path:
 
 
 def read_clips(name: str, folder: Path = CLIPS) -> list[dict[str, str]]:
-    """A table's numbers by clip, a line for each clip, method and setting. Raises ``KeyError`` where none were kept."""
+    """Read a table's numbers by clip: a line for each clip, method and setting. Raises ``KeyError`` if missing."""
     path = folder / f"{name}.csv.gz"
     if not path.is_file():
         raise KeyError(f"{name}: its numbers by clip were not kept")
@@ -131,14 +131,14 @@ def read_clips(name: str, folder: Path = CLIPS) -> list[dict[str, str]]:
 
 
 def _lines(value: Any) -> str:
-    """JSON; what a list holds, on a line each."""
+    """Format JSON with a line for each entry of a list."""
     if isinstance(value, str | Mapping):
         return json.dumps(value, ensure_ascii=False)
     return "[\n" + ",\n".join(f"  {json.dumps(one, ensure_ascii=False)}" for one in value) + "\n ]"
 
 
 def of_cells(title: str, header: Sequence[str], lines: Sequence[Sequence[str]], notes: Sequence[str] = ()) -> Table:
-    """A table of texts, as benchmarks print it: the first columns, as many as tell rows apart, are their labels."""
+    """Make a table from printed texts; the first columns that distinguish all rows become their labels."""
     cells = [[MARKUP.sub("", cell).strip() for cell in line] for line in lines]
     parsed = [[cell(text) for text in line] for line in cells]
     labels = 1
@@ -154,7 +154,7 @@ def of_cells(title: str, header: Sequence[str], lines: Sequence[Sequence[str]], 
 
 
 def _column(heading: str, cells: Sequence[str]) -> Column:
-    """The column of a heading, whose last words may be its unit."""
+    """Make the column of a heading, whose last words may be its unit."""
     label, _, unit = heading.rpartition(", ")
     if not label or unit not in UNITS:
         label, unit = heading, ""
@@ -163,18 +163,18 @@ def _column(heading: str, cells: Sequence[str]) -> Column:
 
 
 def _alike(cells: Sequence[Sequence[str]], labels: int) -> bool:
-    """Whether more columns are needed to tell rows apart."""
+    """Return whether more columns are needed to distinguish rows."""
     return len({tuple(line[:labels]) for line in cells}) < len(cells)
 
 
 def _digits(text: str) -> int:
-    """Decimals of the number that a text begins with."""
+    """Count the decimals of the number at the start of a text."""
     found = NUMBER.match(text)
     return len(found[1]) - 1 if found and found[1] else 0
 
 
 def cell(text: str) -> Cell:
-    """A cell of a printed table: "98.6 [96, 100] (n = 71)", "1,234", "–", or a text."""
+    """Parse a cell of a printed table: "98.6 [96, 100] (n = 71)", "1,234", "–", or a text."""
     found = INTERVAL.fullmatch(text)
     if text in {"", "–"}:
         return None
@@ -187,6 +187,6 @@ def cell(text: str) -> Cell:
 
 
 def number(text: str) -> float:
-    """A printed number."""
+    """Parse a printed number."""
     plain = text.replace(",", "").replace("−", "-")
     return float(plain) if "." in plain else int(plain)

@@ -21,19 +21,19 @@ from getagrip.io.plugins import date_and_commit
 
 NAME, FOLDER = "test-runs", store.RESULTS
 OBJECTS = "OTHER"
-"""The word of a command that stands for the folder of the test objects."""
+"""Placeholder in a command for the folder of the test objects."""
 COMMAND = "python -m benchmarks.test_runs"
 COLUMNS = (Column("table", "table"), Column("commit", "commit"), Column("run", "run"))
 TITLE = "Every run of the test objects"
 
 
 def tables() -> list[str]:
-    """Name the tables of test objects that a release has."""
+    """Name a release's tables of test objects."""
     return [name for name, command in BENCHES.items() if OBJECTS in command.split()]
 
 
 def note(table: str, command: str) -> None:
-    """Add a run to the list, as one that starts now. ``command`` is as pages print it, without own paths."""
+    """Add a run that starts now to the list. ``command`` is printed on pages, so without private paths."""
     now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")
     row = {"label": f"{now}, {table}", "table": table, "commit": commit(), "run": command}
     found = _read()
@@ -41,7 +41,7 @@ def note(table: str, command: str) -> None:
 
 
 def noted(table: str, commit: str) -> bool:
-    """Return whether there is a run of a table by the code of a commit."""
+    """Return whether the list has a run of a table by the code of a commit."""
     of = [str(row["commit"]).split()[0] for row in _read().rows if row["table"] == table]
     return any(one.startswith(commit) or commit.startswith(one) for one in of)
 
@@ -67,7 +67,7 @@ def from_git() -> Iterator[Row]:
         for name in tables():
             try:
                 made = json.loads(_git("show", f"{commit}:results/{name}.json"))["made"]
-            except subprocess.CalledProcessError:  # not there yet
+            except subprocess.CalledProcessError:  # the file did not exist yet
                 continue
             if (name, made["commit"]) in seen:
                 continue
@@ -82,7 +82,7 @@ def _git(*words: str) -> str:
 
 
 def main() -> None:
-    """Put the runs of git's history in front of those that were noted."""
+    """Put the runs of git's history before the noted runs."""
     found, before = _read(), [*from_git()]
     known = {(row["table"], str(row["commit"]).split()[0]) for row in found.rows}
     new = [row for row in before if (row["table"], row["commit"]) not in known]

@@ -1,4 +1,4 @@
-"""How long a call takes: repeated, in wall-clock and in processor time; and on what machine."""
+"""Measure wall and CPU time of repeated calls, and describe the machine."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ def timed(call: Callable[[], T], repeats: int = 1) -> tuple[Timing, list[T]]:
 
 
 def typical(parts: list[dict[str, float]]) -> dict[str, float]:
-    """The median of each part over the repetitions."""
+    """Return the median of each part over the repetitions."""
     return {name: median(part[name] for part in parts) for name in parts[0]}
 
 
 def machine() -> str:
-    """The processor of this machine, and the number of its cores."""
+    """Describe the processor of this machine and its number of cores."""
     about = Path("/proc/cpuinfo")  # Linux
     lines = about.read_text(encoding="utf-8").splitlines() if about.exists() else []
     names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
@@ -52,7 +52,7 @@ def machine() -> str:
 
 
 def circumstances(command: str) -> dict[str, str]:
-    """When, by which code, where and how undisturbed a measurement is made: before it."""
+    """Describe a measurement before it starts: date, code, machine and load."""
     day, _, commit = date_and_commit().partition(", commit ")
     there = {each.name: each.version for each in metadata.distributions()}
     versions = [f"{name} {there[name]}" for name in LIBRARIES if name in there]

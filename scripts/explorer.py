@@ -29,7 +29,7 @@ CONTROLS = """
 
 
 def explorer() -> str:
-    """The page's part of HTML."""
+    """Return the HTML of the page."""
     tables = {name: json.loads((store.RESULTS / f"{name}.json").read_text(encoding="utf-8")) for name in store.names()}
     data = json.dumps(tables, ensure_ascii=False, separators=(",", ":")).replace("</", "<\\/")
     code = "\n".join(path.read_text(encoding="utf-8") for path in SCRIPTS)

@@ -19,14 +19,14 @@ GRID = 0.0016
 VERTICES = 950
 """Number of vertices; a closed surface without holes has twice as many faces, less four."""
 NORMAL_WEIGHT = 0.008
-"""Weight of a unit of normal when patches are formed [m]."""
+"""Weight of normals when patches are formed [m]."""
 FINER = 1.6
-"""How much shorter edges are at the fingertips."""
+"""Factor by which edges are shorter at the fingertips."""
 WRIST_CUT = 0.010
-"""The hand ends so far behind the wrist joint [m]."""
+"""Length of the hand behind the wrist joint [m]."""
 
 WAIST = 0.05
-"""How much thinner bones are at their middle than at the joints."""
+"""Relative reduction of the bones' thickness at their middle."""
 
 BACK = np.array([0.0, 1.0, 0.0])
 
@@ -84,7 +84,7 @@ def _palm(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N"]:
 
 
 def _axes(ends: Float[ndarray, "2 3"]) -> Float[ndarray, "3 3"]:
-    """Directions along a segment, across it, and towards the back of the hand."""
+    """Return directions along a segment, across it, and towards the back of the hand."""
     along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     across = np.cross(BACK, along)
     across /= np.linalg.norm(across)
@@ -99,7 +99,7 @@ def _round_cone(
     depth: Float[ndarray, "2"],
     tip: bool = False,
 ) -> Float[ndarray, "N"]:
-    """Round cone with elliptic section. A ``tip`` ends at the second point; otherwise that is the end's centre."""
+    """Compute the distance to a round cone of elliptic section, which ends at (``tip``) or around the second point."""
     length = float(np.linalg.norm(ends[1] - ends[0]))
     local = (X - ends[0]) @ axes.T
     reach = length - breadth[1] if tip else length
@@ -123,7 +123,7 @@ def _ellipsoid(
 
 
 def _smooth_min(a: Float[ndarray, "N"], b: Float[ndarray, "N"], k: float) -> Float[ndarray, "N"]:
-    """Minimum of a and b, rounded where they differ by less than k."""
+    """Return the minimum of a and b, rounded where they differ by less than k."""
     h = np.maximum(k - np.abs(np.where(np.isinf(a), 1e3, a) - b), 0.0) / k
     return np.minimum(a, b) - h * h * k / 4.0
 
@@ -145,7 +145,7 @@ def triangulate() -> Mesh:
     normals = gradient(fine)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     features, weight = np.concatenate([fine, NORMAL_WEIGHT * normals], axis=1), fineness(fine) ** 4
-    for seed in range(20):  # a start now and then ends with a patch that is no disc, and the dual is then not closed
+    for seed in range(20):  # a start may end with a patch that is not a disc, whose dual is not closed
         patch = _patches(features, weight, seed)
         vertices = project(_means(fine, patch, weight))
         for finger in rest_fingers().values():
@@ -171,7 +171,7 @@ def _patches(features: Float[ndarray, "N 6"], weight: Float[ndarray, "N"], seed:
 def _means(
     points: Float[ndarray, "N d"], patch: Int[ndarray, "N"], weight: Float[ndarray, "N"]
 ) -> Float[ndarray, "V d"]:
-    """Weighted mean of the points of each patch."""
+    """Compute the weighted mean of the points of each patch."""
     sums = np.stack([np.bincount(patch, column * weight) for column in points.T], axis=1)
     return sums / np.bincount(patch, weight)[:, None]
 

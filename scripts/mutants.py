@@ -1,4 +1,4 @@
-"""Change the package's source at random places, one at a time, and list the changes that no test notices.
+"""Mutate the package's source at random, one place at a time, and list the mutants that no test kills.
 
 Cosmic Ray's operators make the changes. It is no part of the project's environment but has one of its own::
 
@@ -38,29 +38,29 @@ TESTS = {
     "metrics": ("metrics", "evaluation", "checks"),
     "grasps": ("grasps", "datasets", "segmentation", "timelines"),
 }
-"""Sources that are changed, and the tests of each."""
+"""Sources to mutate, with their tests."""
 LEFT_OUT = ("paper_pull.py", "paper_push.py")
 LIMITS = (150, 900)
-"""Time of a processor that the nearest tests and all of them may take [s]: a mutant may never end."""
+"""CPU time limits of the nearest tests and of all tests [s]: a mutant may never end."""
 KINDS = re.compile(
     "core/(ReplaceBinaryOperator_((Add|Sub|Mul|Div|FloorDiv)_(Add|Sub|Mul|Div)|(Pow|Mod)_Mul"
     "|(RShift|LShift)_(RShift|LShift)|Bit(Or|And|Xor)_Bit(Or|And|Xor))"
     "|ReplaceComparisonOperator_((Eq|NotEq|Lt|LtE|Gt|GtE)_(Eq|NotEq|Lt|LtE|Gt|GtE)|Is_IsNot|IsNot_Is|In_NotIn|NotIn_In)"
     "|AddNot|Replace(And|Or|True|False|Break|Continue)With.*|ReplaceUnaryOperator_.*|NumberReplacer|ZeroIterationForLoop)"
 )
-"""Operators in use. The others shift floats by bits and the like, which fails wherever it runs."""
+"""Operators in use; others, such as shifts of floats, always fail."""
 EQUIVALENT = {
     ("approximation.py", "x = np.zeros(11 if through is None else 9)"): "the ninth number moves nothing",
     ("least_squares.py", "step = -np.linalg.solve(A, g[..., None])[..., -1]"): "the axis has one entry",
     ("mask.py", "if total == bound[b]:  # the step is rejected, whatever the other frames say"): "it saves time only",
     ("silhouette.py", "PLANES = 5"): "the planes that are read hold the same, modulo 16",
 }
-"""Mutants that are no faults, by file and changed line, and why."""
+"""Equivalent mutants, by file and changed line, with the reason."""
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """A source with one change: its file in the tree, what the whole file becomes, and the line before and after."""
+    """A source with one change: its file in the tree, the changed content, and the line before and after."""
 
     source: str
     code: str
@@ -73,7 +73,7 @@ class Mutant:
         return next(folders for part, folders in TESTS.items() if f"getagrip/{part}" in self.source)
 
     def tests(self, tree: Path) -> tuple[list[str], list[str]]:
-        """Test files that name the module, or else its folder, the nearest first; and all."""
+        """Return the test files that name the module (else its folder), the nearest first, and all test files."""
         module = Path(self.source).with_suffix("")
         at = [tree / "tests" / folder for folder in self.folders]
         files = [*dict.fromkeys(f for one in at for f in (sorted(one.rglob("test_*.py")) if one.is_dir() else [one]))]
@@ -87,7 +87,7 @@ class Mutant:
 
 
 def mutants(count: int, seed: int) -> list[Mutant]:
-    """Draw places of all sources, and at each one of the changes that can be made there."""
+    """Draw places of all sources, and a possible change at each."""
     places: dict[tuple[str, tuple[int, int]], list[tuple[str, int]]] = defaultdict(list)
     for path in (ROOT / "src" / "getagrip" / part for part in TESTS):
         for file in sorted(path.glob("*.py")) if path.is_dir() else [path]:
@@ -109,7 +109,7 @@ def mutants(count: int, seed: int) -> list[Mutant]:
 
 
 def counts(node) -> bool:
-    """Whether a node does something: no part of a type hint, nor of the guards ``frozen`` and ``strict``."""
+    """Return whether a node affects behaviour: not part of a type hint or of the guards ``frozen`` and ``strict``."""
     while node.parent is not None:
         above = node.parent
         hint = above.children[1] if above.type == "annassign" else getattr(above, "annotation", None)
@@ -121,7 +121,7 @@ def counts(node) -> bool:
 
 
 def first_failure(python: str, tree: Path, tests: list[str], limit: int, kernels: Path) -> str:
-    """The first test that fails in a tree, or how the tests ended; nothing if they pass."""
+    """Return the first failing test in a tree, or how the tests ended; empty if they pass."""
     own = {"PYTHONPATH": str(tree / "src"), "NUMBA_CACHE_DIR": str(kernels), "OPENBLAS_NUM_THREADS": "1"}
     ended = subprocess.run(
         [python, "-m", "pytest", *tests, "-x", "-q", "-p", "no:cacheprovider"],
@@ -133,13 +133,13 @@ def first_failure(python: str, tree: Path, tests: list[str], limit: int, kernels
 
 
 def killer(python: str, tree: Path, mutant: Mutant, tests: list[str], limit: int) -> str:
-    """What kills a mutant, which is put into the tree and taken out of it again."""
+    """Return the test that kills a mutant; the mutated file is restored afterwards."""
     file = tree / mutant.source
     kept = file.read_text(encoding="utf-8")
-    compiled = "import kernel" in kept  # numba looks at a kernel's own source only, not at that of its parts
+    compiled = "import kernel" in kept  # numba checks only a kernel's own source for changes, not its parts'
     kernels = tree.parent / ("own" if compiled else "kernels")
     file.write_text(mutant.code, encoding="utf-8")
-    for bytecode in file.parent.glob(f"__pycache__/{file.stem}.*"):  # of a source whose size and second may be the same
+    for bytecode in file.parent.glob(f"__pycache__/{file.stem}.*"):  # its source may have the same size and time
         bytecode.unlink()
     try:
         return first_failure(python, tree, tests, limit, kernels)

@@ -16,7 +16,7 @@ START, END = "<!-- parts: generated -->\n", "<!-- parts: end -->"
 
 
 def table() -> str:
-    """The parts, lowest first: a row for each layer."""
+    """Return the parts, lowest first: a row for each layer."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     layers = next(contract["layers"] for contract in contracts if contract["type"] == "layers")
     rows = ["| part | what it is for |", "|---|---|"]
@@ -27,13 +27,13 @@ def table() -> str:
 
 
 def page() -> str:
-    """The page with the table as it should be."""
+    """Return the page with an up-to-date table."""
     before, rest = PAGE.read_text(encoding="utf-8").split(START)
     return f"{before}{START}{table()}{END}{rest.split(END)[1]}"
 
 
 def _summary(part: str) -> str:
-    """The first paragraph of a module's or a package's docstring."""
+    """Return the first paragraph of a module's or a package's docstring."""
     path = PACKAGE / part / "__init__.py" if (PACKAGE / part).is_dir() else PACKAGE / f"{part}.py"
     docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
     return " ".join(docstring.split("\n\n")[0].split()).replace("``", "`")

@@ -1,4 +1,4 @@
-"""What the site generates: the help of every command, and the list of the public names.
+"""Pages that the site generates: the help of every command, and the list of public names.
 
 ``python scripts/reference.py cli`` prints the one, ``api`` the other, as Markdown; ``docs/conf.py`` puts them into the
 pages.
@@ -22,7 +22,7 @@ COLUMNS = "92"
 
 
 def commands() -> Iterator[str]:
-    """Every command that has a help of its own, as it is typed behind ``getagrip``."""
+    """List the commands with a help of their own, as typed behind ``getagrip``."""
     from getagrip.cli.datasets import subcommands
     from getagrip.cli.figure import Figures
 
@@ -38,7 +38,7 @@ def _names(union: Any, before: str) -> Iterator[str]:
 
 
 def help_of(words: str) -> str:
-    """What a command prints with ``--help``."""
+    """Return the help of a command."""
     os.environ["COLUMNS"] = COLUMNS
     with redirect_stdout(io.StringIO()) as printed, suppress(SystemExit):
         cli.main([*words.split(), "--help"])
@@ -46,12 +46,12 @@ def help_of(words: str) -> str:
 
 
 def command_pages() -> str:
-    """A section for each command."""
+    """Make a section for each command."""
     return "\n".join(f"## getagrip {words}\n\n```text\n{help_of(words)}\n```\n" for words in commands())
 
 
 def public_names() -> str:
-    """A section for each public name: functions, then classes, then errors."""
+    """Make a section for each public name: functions, then classes, then errors."""
     names = [name for name in getagrip.__all__ if not name.startswith("_")]
     values = {name: getattr(getagrip, name) for name in names}
     errors = {name for name, value in values.items() if isinstance(value, type) and issubclass(value, Exception)}
@@ -72,7 +72,7 @@ def _described(directive: str, name: str) -> str:
 
 
 GENERATED: dict[str, Callable[[], str]] = {"cli": command_pages, "api": public_names}
-"""The pages that hold ``MARKER``, and what takes its place."""
+"""Functions that replace ``MARKER``, by page."""
 
 if __name__ == "__main__":
     print(GENERATED[sys.argv[1]]())

@@ -18,16 +18,16 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 LARGEST = 5.0
-"""Error that the notebook's result may have [mm]: what it shows is right."""
+"""Maximum error of the notebook's result [mm]."""
 README, NOTEBOOK = ROOT / "README.md", ROOT / "examples" / "getagrip.ipynb"
 
 
 def main(wheel: Path) -> None:
-    """Try it; a command that fails ends all."""
+    """Try the wheel; the first failing command ends the script."""
     with tempfile.TemporaryDirectory() as scratch:
         venv.create(Path(scratch) / "venv", with_pip=True)
         programs = Path(scratch) / "venv" / ("Scripts" if os.name == "nt" else "bin")
-        # Nothing of the clone or of the user, and no kernels that somebody else has compiled.
+        # An environment without the clone, the user's settings, and compiled kernels.
         environment = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "NUMBA_"))}
         environment |= {
             "XDG_CACHE_HOME": str(Path(scratch) / "cache"),

@@ -20,7 +20,7 @@ from helpers.environment import ROOT
 
 CODE = """
 from getagrip import compiling
-compiling.compile_modules(["kernels.closest"])
+compiling.compile_modules(["geometry.kernels.closest"])
 from getagrip.geometry.kernels.closest import _spread
 print(sum(_spread.stats.cache_hits.values()), _spread.stats.cache_path)
 """
@@ -139,7 +139,7 @@ def test_a_kernel_is_compiled_once_and_again_where_its_file_is_damaged(tmp_path:
 def test_kernels_are_not_read_where_others_can_write(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], mode: int
 ) -> None:
-    monkeypatch.setattr(terminal, "_is_private", lambda group, owner: False)
+    monkeypatch.setattr(terminal, "_is_private_group", lambda group, owner: False)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
     folder = compiling.kernel_cache_folder.__wrapped__
     mine = folder()

@@ -35,7 +35,7 @@ SMALL = {"frames": 8, "size": (320, 240), "focal": 300.0}
 ON_SMALL_CLIPS = """
 import runpy
 from dataclasses import replace
-from getagrip.synthetic.categories import SYNTHETIC_PRESETS
+from getagrip.synthetic.scene_options import SYNTHETIC_PRESETS
 SYNTHETIC_PRESETS["clean"] = replace(SYNTHETIC_PRESETS["clean"], **{small})
 runpy.run_path({script!r}, run_name=__name__)
 """

@@ -17,7 +17,7 @@ import pytest
 
 import getagrip
 from getagrip.errors import UsageError
-from getagrip.io.array_data import MAX_BRIEF_LINES
+from getagrip.io.array_data import MAX_REPR_LINES
 from getagrip.io.terminal import progress_callback
 from helpers.clips import small_clip
 from helpers.environment import ROOT
@@ -61,7 +61,7 @@ for each in ({", ".join(names)}):
     assert done.returncode == 0, done.stderr
     shown = {name: [int(n) for n in rest] for name, *rest in map(str.split, done.stdout.splitlines())}
     assert {"Clip", "Masks", "Reconstruction", "Figure", "HtmlPage", "Evaluation"} <= shown.keys()
-    assert [name for name, (lines, _, _) in shown.items() if lines > MAX_BRIEF_LINES] == []
+    assert [name for name, (lines, _, _) in shown.items() if lines > MAX_REPR_LINES] == []
     assert all(shown[name][1] > 500 for name in ("Clip", "Masks", "Reconstruction", "HtmlPage", "Evaluation"))
     assert shown["Figure"][2] > 10_000
     assert (tmp_path / "mug-in-hand" / "about.json").is_file()
@@ -84,7 +84,7 @@ def test_no_value_is_a_wall() -> None:
     clip, masks = small_clip()
     long = replace(clip, provenance={f"topic {n}": "<b>text</b> " * 40 for n in range(60)})
     for data in (clip, long, masks, clip.hand, clip.mesh, true_result(clip, None)):
-        assert len(repr(data).splitlines()) <= MAX_BRIEF_LINES, type(data)
+        assert len(repr(data).splitlines()) <= MAX_REPR_LINES, type(data)
         assert repr(data).startswith(f"{type(data).__name__}(")
         html = data._repr_html_()
         assert "<table>" in html

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.batch.job import Limits
+from getagrip.batch.scheduling import Limits
 from getagrip.errors import UsageError
 from getagrip.io import files, terminal
 

@@ -25,7 +25,7 @@ Call = Callable[..., str]
 BUILD = "import sys, hatchling.build; print(hatchling.build.build_wheel(sys.argv[1]))"
 LOADED = """
 import sys
-from getagrip.cli.main import main
+from getagrip.cli import main
 try: main(sys.argv[1:])
 except SystemExit: pass
 sys.exit(", ".join(name for name in sys.modules if name.startswith("getagrip_upright")) or 0)

@@ -3,8 +3,8 @@
     python docs/figures/video_to_3d.py OUT
 
 OUT gets the video as ``getagrip synthesise mug --seed 2 --video`` makes it, and what ``getagrip draft`` makes of it
-with a box in the first frame. The picture shows the video, then the masks over it, then the posed meshes; beside it the same
-meshes from a camera that goes round.
+with a box in the first frame. The picture shows the video, then the masks over it, then the posed meshes; beside it the
+same meshes from a camera that goes round.
 """
 
 from __future__ import annotations

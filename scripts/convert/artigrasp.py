@@ -76,12 +76,12 @@ def main(arguments: list[str]) -> None:
 
 
 def folder_rsc(root: Path) -> Path:
-    """ArtiGrasp's ``rsc``, of its folder or of itself."""
+    """Return the folder ``rsc``, from ArtiGrasp's checkout or ``rsc`` itself."""
     return root / "rsc" if (root / "rsc").is_dir() else root
 
 
 def sequences(rsc: Path) -> list[Path]:
-    """The files of the objects of all sequences of true motion."""
+    """List the files of the objects of all sequences of true motion."""
     return sorted(f for f in rsc.glob("arctic/*/*/*.object.npy") if SUBJECT.fullmatch(f.parent.name))
 
 
@@ -90,7 +90,7 @@ def sequence_of(file: Path) -> str:
 
 
 def convert(rsc: Path, file: Path, out: Path, estimated: bool = False) -> None:
-    """A sequence, by the file of its object, as ``<subject>-<sequence>.npz`` and the object's two meshes."""
+    """Convert a sequence, by the file of its object, to ``<subject>-<sequence>.npz`` and the object's two meshes."""
     subject, sequence, name = file.parent.name, sequence_of(file), file.parent.parent.name
     poses = _array(file, (-1, 7))
     T, ends = len(poses), NOT_ESTIMATED if estimated else 0
@@ -119,7 +119,7 @@ def convert(rsc: Path, file: Path, out: Path, estimated: bool = False) -> None:
 def _estimates(
     rsc: Path, file: Path, T: int, rows: ndarray, T_world_obj: ndarray, template: Template
 ) -> dict[str, object]:
-    """Estimated joints in the world, and the camera that they were made by, as far as it follows from them."""
+    """Return estimated joints in the world, and their camera as far as it follows from them."""
     subject = file.parent.name
     T_estimate_obj = (_rigid(_array(_recon(file), (T, 7))) @ se3.inverse(template.T_neutral_template))[rows]
     R_cam_world = median_rotation(T_estimate_obj[:, :3, :3] @ np.swapaxes(T_world_obj[:, :3, :3], 1, 2))
@@ -127,7 +127,7 @@ def _estimates(
     camera = camera_facing_object(
         R_cam_world, places, "a guess but for its orientation, which is that of the estimates; fixed"
     )
-    origin = template.joint.point[None]  # the template's: what an estimate of the object places
+    origin = template.joint.point[None]  # in the template's frame, which the estimate poses
     displaced = se3.transform(camera.T_cam_world @ T_world_obj, origin) - se3.transform(T_estimate_obj, origin)
     estimated = _joints(rsc / "mano_double/ee_recon" / subject, sequence_of(file), T)
     return {
@@ -143,7 +143,7 @@ def _estimates(
 
 
 def write_poses(tracks: Path, clips: Path, out: Path) -> None:
-    """The estimated object of each clip of these tracks, in the clip's frames."""
+    """Convert the estimated object of each clip of these tracks, at the clip's frames."""
     out.mkdir(parents=True, exist_ok=True)
     for file in sorted(clips.glob("*/clip.json")):
         clip = read_clip(file.parent)
@@ -154,7 +154,7 @@ def write_poses(tracks: Path, clips: Path, out: Path) -> None:
 
 
 def median_rotation(R: Float[ndarray, "T 3 3"]) -> Float[ndarray, "3 3"]:
-    """The rotation with the least sum of angles to others (Weiszfeld's iteration from the best of some of them)."""
+    """Compute the rotation with the least sum of angles to others (Weiszfeld's iteration from the best of a sample)."""
     some = R[:: max(1, len(R) // 200)]
     median = some[np.argmin(se3.angle_between(some[:, None], some[None]).sum(axis=1))]
     for _ in range(20):
@@ -165,7 +165,7 @@ def median_rotation(R: Float[ndarray, "T 3 3"]) -> Float[ndarray, "3 3"]:
 
 
 def _recon(file: Path) -> Path:
-    """The file of the estimated object, beside that of the true one."""
+    """Return the file of the estimated object, next to the true object's."""
     return file.parents[1] / f"{file.parent.name}_recon" / file.name
 
 
@@ -174,7 +174,7 @@ def _joints(folder: Path, sequence: str, frames: int) -> dict[str, Float[ndarray
 
 
 def _rigid(poses: Float[ndarray, "T 7"]) -> Float[ndarray, "T 4 4"]:
-    """Poses of the template [m]."""
+    """Return poses of the template [m]."""
     return se3.rigid(se3.exp_so3(poses[:, 1:4]), METRES_PER_MM * poses[:, 4:])
 
 
@@ -184,9 +184,9 @@ def _array(file: Path, shape: tuple[int, ...]) -> Float[ndarray, "..."]:
 
 @lru_cache
 def _object(folder: Path, out: Path) -> Template:
-    """An object of its two parts, which are written in its neutral frame."""
+    """Read an object of two parts, which are stored in its neutral frame."""
     parts = [read_mesh(folder / f"{part}_watertight_tiny.obj") for part in PARTS]
-    mesh, part = subdivide_parts(parts)  # in which the frame is that of finely meshed objects, as ARCTIC's own are
+    mesh, part = subdivide_parts(parts)  # the frame is that of finely meshed objects, such as ARCTIC's own
     template = make_neutral_template(mesh, part == 1)
     for name, rough in zip(PARTS, parts, strict=True):
         with (out / f"{folder.name}-{name}.obj").open("w") as obj:

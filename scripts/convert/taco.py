@@ -36,13 +36,13 @@ from getagrip.readers.datasets.mano_tracks import check_mano_numbers
 FPS = 30.0
 VERTICES = 778
 RIDGE = 1e-3
-"""Of y, beside the mean square of its coefficients, which is 1."""
+"""Ridge on y, relative to the mean square of its coefficients, which is 1."""
 FOLLOWERS = 15
-"""Number of vertices that place a joint: those that the bone's rotation explains best beside its parent's."""
+"""Number of vertices that define a joint: those best explained by the rotations of the bone and its parent."""
 MOVES = 0.003
-"""A vertex that does not follow the parent is at least so far from where it would be then, rms [m]."""
+"""Minimum rms distance of a vertex that does not follow the parent bone from the parent's rigid motion [m]."""
 LEAST_TURN = np.radians(5.0)
-"""Root mean square angle by which each bone must turn about its mean."""
+"""Minimum root mean square angle of each bone about its mean."""
 
 
 def main(source_data: Path, out: Path) -> None:
@@ -58,7 +58,7 @@ def main(source_data: Path, out: Path) -> None:
 
 
 def convert(file: Path, out: Path) -> None:
-    """A sequence, as a file of tracks and the object's mesh."""
+    """Convert a sequence to a file of tracks and the object's mesh."""
     K, size = track_files.assumed_pinhole()
     T_cam_hand, vertices, pose, given = read(file)
     found = flat_hand(vertices, generic.load("left").joints[0], pose)
@@ -84,7 +84,7 @@ def convert(file: Path, out: Path) -> None:
 def read(
     file: Path,
 ) -> tuple[Float[ndarray, "T 4 4"], Float[ndarray, "T 778 3"], Float[ndarray, "T 45"], dict[str, object]]:
-    """The hand's poses, its vertices in the hand frame and its fingers' rotation vectors, and all that the file holds.
+    """Read the hand's poses, vertices in the hand frame and fingers' rotation vectors, and the content of the file.
 
     MANO's root joint, which the translation is, lies where the generic hand has its wrist. Raises ``InputError``.
     """
@@ -100,7 +100,7 @@ def read(
 
 
 def _rotations(pose: Float[ndarray, "T 45"]) -> Float[ndarray, "T 16 3 3"]:
-    """Of each bone in the hand frame."""
+    """Return the rotation of each bone in the hand frame."""
     A = np.tile(np.eye(3), (len(pose), 16, 1, 1))
     for bone, turn in enumerate(np.moveaxis(se3.exp_so3(pose.reshape(-1, 15, 3)), 1, 0), start=1):
         A[:, bone] = A[:, PARENTS[bone]] @ turn
@@ -110,7 +110,7 @@ def _rotations(pose: Float[ndarray, "T 45"]) -> Float[ndarray, "T 16 3 3"]:
 def flat_hand(
     x: Float[ndarray, "T V 3"], wrist: Float[ndarray, "3"], pose: Float[ndarray, "T 45"]
 ) -> tuple[Float[ndarray, "V 3"], Float[ndarray, "16 3"], Float[ndarray, "V 16"]] | None:
-    """Vertices and joints [m] of the flat hand behind a moving surface, and weights that give each vertex to one bone.
+    """Estimate vertices and joints [m] of the flat hand from a moving surface, and weights of one bone per vertex.
 
     A vertex that follows bone j is at x(t) = p(t) + B(t) l + A(t) y, with the place p and the rotation B of the
     parent's joint, the rotation A of the bone, the offset l of its joint from the parent's, and the vertex's own offset
@@ -143,9 +143,9 @@ def flat_hand(
 def _placed(
     moved: Float[ndarray, "T V 3"], B: Float[ndarray, "T 3 3"], A: Float[ndarray, "T 3 3"]
 ) -> tuple[Float[ndarray, "3"], Float[ndarray, "V 3"], Float[ndarray, "V"]]:
-    """The offset of a joint, each vertex's own if it follows the bone, and how far the vertex then is, rms [m]."""
+    """Return a joint's offset, each vertex's own if it follows the bone, and the vertex's residual, rms [m]."""
     to_parent, to_bone = np.swapaxes(B, 1, 2), np.swapaxes(A, 1, 2)
-    of_parent = (moved @ B).mean(axis=0)  # what B alone explains, and what A alone does
+    of_parent = (moved @ B).mean(axis=0)  # vertices explained by B alone, and by A alone
     of_bone = (moved @ A).mean(axis=0)
     mixed, ridged = (to_parent @ A).mean(axis=0), 1.0 + RIDGE
     schur = np.eye(3) - mixed @ mixed.T / ridged

@@ -28,11 +28,11 @@ VITDET = (
     "https://dl.fbaipublicfiles.com/detectron2/ViTDet/COCO/cascade_mask_rcnn_vitdet_h/f328730692/model_final_f05665.pkl"
 )
 WIDER = 0.25
-"""A hand at the object is looked for in its box, widened on each side by this share of its longer side."""
+"""Margin around the object's box to search for the hand, relative to its longer side."""
 
 
 def detector(device):
-    """HaMeR's demo's: from an image (BGR) to hands' boxes (n, 4), and 1 for right ones. None if it is not installed."""
+    """Return the detector of HaMeR's demo: from a BGR image, boxes (n, 4), and 1 for right hands; None if missing."""
     try:
         import hamer
         from detectron2.config import LazyConfig
@@ -63,7 +63,7 @@ def detector(device):
 
 
 def chosen_boxes(paths, boxes, near, detect, side):
-    """The hand's box in each image that has one, and whether it is a right one, as far as that was seen."""
+    """Return the hand's box in each image that shows it, and whether it is a right hand, if detected."""
     taken, rights, last = {}, [], None
     for path in paths:
         hands = [] if path.stem in boxes or detect is None else detect(cv2.imread(str(path)))

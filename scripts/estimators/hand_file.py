@@ -1,4 +1,4 @@
-"""What the estimators' scripts share: hands as ``hand.npz``. Plain numpy; lies beside them, in any environment.
+"""Hands as ``hand.npz``, for all estimators' scripts: plain numpy, copied next to them into any environment.
 
 Conventions: metres; camera axes x right, y down, z forward. The hand frame is MANO's at zero global rotation, so that
 ``T_cam_hand = [R | J0 - R J0 + t]`` with MANO's global rotation R, its translation t and its root joint J0.
@@ -7,12 +7,12 @@ Conventions: metres; camera axes x right, y down, z forward. The hand frame is M
 import numpy as np
 
 FINGERS = {"thumb": 13, "index": 1, "middle": 4, "ring": 10, "pinky": 7}
-"""First of each finger's three joints among MANO's 16."""
+"""Index of each finger's first joint among MANO's 16."""
 MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
 def contact_regions(template, joints, faces, weights):
-    """The eight contact regions of MANO's flat right hand, vertex ids by name: five fingertip pads, three of the palm.
+    """Return the contact regions of MANO's flat right hand, vertex ids by name: five fingertips, three of the palm.
 
     template (778, 3), joints (16, 3), faces (F, 3), skinning weights (778, 16). Pads are the vertices of the last
     phalanges that face as the finger does. Of the palm: the ball of the thumb, the cushions below the fingers' roots,
@@ -48,7 +48,7 @@ def contact_regions(template, joints, faces, weights):
 
 
 def translation(cam, centre, side, K):
-    """MANO's translation before a real pinhole K, from (s, tx, ty) in a crop of a middle and a side [px].
+    """Compute MANO's translation in a pinhole camera K from (s, tx, ty) in a crop with a middle and a side [px].
 
     A crop shows b s / 2 pixels to the metre, the hand's origin at centre + (b s / 2) (tx, ty); tx as in the image, not
     as in a mirrored crop.
@@ -60,7 +60,7 @@ def translation(cam, centre, side, K):
 
 
 def hand_frame(vertices, root, R, t, side):
-    """One frame's hand from a network's own numbers, which are a right hand's, of a left one in the mirrored crop.
+    """Make one frame's hand from a network's output, a right hand's; for a left hand, of the mirrored crop.
 
     vertices (N, 3): turned by R (3, 3) about the root joint (3,), without translation; t (3,): ``translation``. Returns
     the vertices in the hand frame, and T_cam_hand (4, 4), of the hand as it is.
@@ -74,7 +74,7 @@ def hand_frame(vertices, root, R, t, side):
 
 
 def at_object(boxes, rights, side, near, last):
-    """The place among hands' boxes (n, 4) of the hand that holds the object, or None: corners x0, y0, x1, y1 [px].
+    """Return the index of the grasping hand among boxes (n, 4), corners x0, y0, x1, y1 [px]; None without one.
 
     ``rights`` (n,) are above 0.5 for right hands, ``side`` is the stated one or None. ``near`` is the object's box, if
     it is known in this image: the hand nearest to it, of the stated side if one of that side is at it. Else of the
@@ -98,7 +98,7 @@ def at_object(boxes, rights, side, near, last):
 
 
 def side_of(rights, side):
-    """The stated side, else that of most of the hands that were taken; ``rights`` are above 0.5 for right ones."""
+    """Return the stated side, else the side of most detections; ``rights`` are above 0.5 for right hands."""
     if side is not None or not len(rights):
         return side
     return "right" if np.mean(np.asarray(rights) > 0.5) > 0.5 else "left"

@@ -26,7 +26,7 @@ def main():
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        images = Path(folder) / "video" / "extracted_images"  # found there, they are not extracted from a video
+        images = Path(folder) / "video" / "extracted_images"  # existing images are not extracted from a video again
         shutil.copytree(args.frames, images)
         hawor = SimpleNamespace(video_path=f"{folder}/video.mp4", img_focal=args.K[0], checkpoint=CHECKPOINT)
         first, last, where, _ = detect_track_video(hawor)

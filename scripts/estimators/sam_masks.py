@@ -44,7 +44,7 @@ def sam3(frames, box, text):
     height, width = cv2.imread(str(min(frames.glob("*.jpg"), key=lambda path: int(path.stem)))).shape[:2]
     ask = {"type": "add_prompt", "session_id": session, "frame_index": 0}
     about = {}
-    if box is not None:  # as shares of the image
+    if box is not None:  # relative to the image size
         x, y, w, h = np.array(box) / [width, height, width, height]
         x0, y0, x1, y1 = np.clip([x, y, x + w, y + h], 0.0, 1.0).tolist()
         about = {"bounding_boxes": [[x0, y0, x1 - x0, y1 - y0]], "bounding_box_labels": [1]}
@@ -62,7 +62,7 @@ def sam3(frames, box, text):
 
 
 def overlap(mask, box):
-    """IOU of a mask and a box (left, top, width, height); the mask's area without a box."""
+    """Compute the IOU of a mask and a box (left, top, width, height); without a box, the mask's area."""
     if box is None:
         return float(mask.sum())
     x, y, w, h = (round(number) for number in box)

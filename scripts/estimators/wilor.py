@@ -22,7 +22,7 @@ from wilor_mini.pipelines.wilor_hand_pose3d_estimation_pipeline import WiLorHand
 
 
 def taken_hands(pipeline, paths, near, side):
-    """What the pipeline finds of the hand at the object, by image."""
+    """Detect the hand at the object, by image."""
     taken, last = {}, None
     for path in paths:
         hands = pipeline.predict(cv2.imread(str(path))[..., ::-1])
@@ -64,7 +64,7 @@ def main():
         fx, fy, cx, cy = args.K or (max(width, height), max(width, height), width / 2, height / 2)
         K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         hand = found["wilor_preds"]
-        if (found["is_right"] > 0.5) != (side == "right"):  # seen as one of the other side here
+        if (found["is_right"] > 0.5) != (side == "right"):  # detected as the other side in this image
             boxes = np.array([found["hand_bbox"]], dtype=float)
             hand = pipeline.predict_with_bboxes(image, boxes, [float(side == "right")])[0]["wilor_preds"]
         full, assumed = hand["pred_cam_t_full"].reshape(3), float(hand["scaled_focal_length"])

@@ -1,7 +1,7 @@
-"""How kernels are compiled, on all cores before the first reconstruction, and where they are kept.
+"""Kernels: compiled on all cores before the first reconstruction, and kept in the user's cache.
 
-They are kept in the user's cache, in a folder that is named after all that they depend on: their sources, numba and
-Python. There they outlast upgrades and new environments, and a kernel whose source has changed is compiled anew.
+The cache folder is named after the kernels' sources, numba and Python: compiled kernels outlast upgrades and new
+environments, and a kernel with changed source is compiled again.
 """
 
 from __future__ import annotations
@@ -36,33 +36,33 @@ NUMBA_OPTIONS: dict[str, object] = {
     "cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"},
     "forceinline": True, "no_cfunc_wrapper": True,
 }  # fmt: skip
-"""How all kernels are compiled; NaN and infinity keep their meaning.
+"""Numba's options for all kernels; NaN and infinity keep their meaning.
 
-Kernels that others call become parts of these. Else each caller has a copy, optimised in its own way; of several copies
-in a process the first to be loaded counts, and that is another one where kernels come from the cache: other last bits.
+``forceinline``: called kernels become parts of their callers. Else each caller would have a copy, optimised separately,
+and a process would use the first copy loaded, which depends on the cache: the last bits would vary.
 """
 KERNEL_GROUPS = (
     ("geometry.kernels.silhouette", "fitting.energy.mask"),
     ("geometry.kernels.closest", "fitting.energy.contact", "geometry.rasterize", "hands.generic"),
 )
-"""Modules whose kernels are compiled by one process: those that share parts, and as many as take equally long."""
+"""Modules by compiling process: modules that share parts together, and processes of equal duration."""
 RARELY_USED_KERNEL_MODULES = (
     "fitting.energy.mesh_mask", "fitting.energy.paper_contact", "fitting.energy.depth_term", "geometry.kernels.depth",
     "fitting.energy.occlusion_order", "fitting.energy.contact_consistency", "studio.masks.graph_cut",
 )  # fmt: skip
-"""Modules of kernels that few reconstructions need; each is compiled when it is."""
+"""Modules that few reconstructions need; each is compiled on first use."""
 TYPE_BY_LETTER = {
     "f": types.float64, "s": types.float32, "i": types.int64, "n": types.int32, "t": types.int8, "u": types.uint64,
     "b": types.boolean,
 }  # fmt: skip
 ALLOCATING_CALLS = {"copy", "empty", "zeros", "zeros_like"}
-"""Calls for which a kernel must count references. Without them it need not; numba refuses to compile one that allocates
-by other means, such as the difference of two arrays."""
+"""Calls that need reference counting. Numba refuses to compile a kernel without them that allocates by other means,
+such as the difference of two arrays."""
 COMPILATION_MESSAGE = "kernels are compiled, once for this version: about 15 seconds of one core"
 
 _declared_kernels: list[tuple[Dispatcher, str]] = []
 
-if not processes.imports_from_cwd():  # numba takes options, as where it reads compiled code, from the current folder
+if not processes.imports_from_cwd():  # numba would read options, such as its cache folder, from the current folder
     config._config_fname = ""
     config.reload_config()
 
@@ -70,9 +70,9 @@ if not processes.imports_from_cwd():  # numba takes options, as where it reads c
 def kernel(arguments: str = "", fastmath: bool = True) -> Callable[[Callable], Dispatcher]:
     """Make a decorator that compiles a function.
 
-    ``arguments`` are the types that a kernel called from Python is compiled for ahead: a letter of ``TYPE_BY_LETTER`` each,
-    then the number of axes of an array, as in "f3 i". One without them is a part of others, called by kernels only.
-    Without ``fastmath``, sums keep their order.
+    ``arguments`` are the types for which a kernel called from Python is compiled in advance: a letter of
+    ``TYPE_BY_LETTER`` each, then an array's number of axes, as in "f3 i". A kernel without them is called by kernels
+    only. Without ``fastmath``, sums keep their order.
     """
 
     def decorate(function: Callable) -> Dispatcher:
@@ -88,10 +88,10 @@ def kernel(arguments: str = "", fastmath: bool = True) -> Callable[[Callable], D
 
 
 def compile_once(tell: Callable[[], object] = lambda: None) -> None:
-    """Have the kernels of a reconstruction compiled, unless they are, and call ``tell`` before. Raises nothing.
+    """Compile the kernels of a reconstruction unless done, calling ``tell`` first. Raises nothing.
 
-    Of several processes one does it, by one process per core; the others wait. A mark says that it is done. Kernels
-    that could not be kept are compiled when they are used.
+    One of several processes does it, with a child per core, while the others wait. A mark file states completion.
+    Kernels that could not be kept are compiled on use.
     """
     mark = mark_file()
     try:
@@ -104,12 +104,12 @@ def compile_once(tell: Callable[[], object] = lambda: None) -> None:
                 tell()
                 _compile_in_parallel()
                 files.write_text(mark, "compiled")
-    except Exception:  # a full disk, a folder of others, no room in memory: the clips will say what is wrong
+    except Exception:  # a full disk, another user's folder, no memory: the clips will report it
         return
 
 
 def compile_modules(names: Iterable[str]) -> None:
-    """Compile the kernels of modules of the package for the types that they declare."""
+    """Compile the kernels of the package's modules for their declared types."""
     modules = {f"getagrip.{name}" for name in names}
     for module in modules:
         importlib.import_module(module)
@@ -121,7 +121,7 @@ def compile_modules(names: Iterable[str]) -> None:
 
 @contextmanager
 def _garbage_collection_paused() -> Iterator[None]:
-    """Leave garbage for later: numba makes many objects that stay; looking through them takes a tenth of its time."""
+    """Pause garbage collection: checking numba's many lasting objects takes a tenth of its time."""
     collects = gc.isenabled()
     gc.disable()
     try:
@@ -132,7 +132,7 @@ def _garbage_collection_paused() -> Iterator[None]:
 
 
 def numba_signature(arguments: str) -> tuple[types.Type, ...]:
-    """Return numba's types of arguments as ``kernel`` takes them."""
+    """Return numba's types for the ``arguments`` of ``kernel``."""
     return tuple(
         types.Array(TYPE_BY_LETTER[word[0]], int(word[1:]), "C") if word[1:] else TYPE_BY_LETTER[word]
         for word in arguments.split()
@@ -143,14 +143,14 @@ def numba_signature(arguments: str) -> tuple[types.Type, ...]:
 def kernel_cache_folder() -> Path:
     """Return the folder of the compiled kernels: in ``NUMBA_CACHE_DIR``, else in the user's cache.
 
-    What lies there is run. Where others can write, a folder of this process and of those that it starts is taken.
+    Its files are executed. If other users can write there, this process and its children use a temporary folder.
     """
     total = hashlib.sha256(repr((numba.__version__, sys.version_info[:2], sys.platform)).encode())
     for name in ("compiling", *(name for group in (*KERNEL_GROUPS, RARELY_USED_KERNEL_MODULES) for name in group)):
         total.update(Path(__file__).parent.joinpath(*name.split(".")).with_suffix(".py").read_bytes())
     named = os.environ.get("NUMBA_CACHE_DIR")
     kept = (Path(named) if named else cache_folder() / "kernels") / total.hexdigest()[:16]
-    with suppress(OSError):  # before others make it
+    with suppress(OSError):
         kept.mkdir(mode=0o700, parents=True, exist_ok=True)
     if is_private_folder(kept):
         return kept
@@ -164,10 +164,10 @@ def kernel_cache_folder() -> Path:
 
 
 def mark_file() -> Path:
-    """Return the mark that all kernels are compiled for this processor: several machines may see one folder."""
+    """Return the mark file for this processor, once all kernels are compiled: machines may share the folder."""
     from numba.core.registry import cpu_target
 
-    processor = cpu_target.target_context.codegen().magic_tuple()  # by which numba tells apart what it keeps
+    processor = cpu_target.target_context.codegen().magic_tuple()  # numba's own key of cached code
     return kernel_cache_folder() / f"compiled.{hashlib.sha256(repr(processor).encode()).hexdigest()[:16]}"
 
 
@@ -176,8 +176,8 @@ def _is_mark_set(mark: Path) -> bool:
 
 
 def _compile_in_parallel() -> None:
-    """Compile all groups, in processes of their own where there are cores for several and Python can be started."""
-    n = min(config.NUMBA_DEFAULT_NUM_THREADS, len(KERNEL_GROUPS))  # cores that this process may use
+    """Compile all groups, each in its own process if cores are free and Python can be started."""
+    n = min(config.NUMBA_DEFAULT_NUM_THREADS, len(KERNEL_GROUPS))  # cores of this process
     if n == 1 or getattr(sys, "frozen", False) or not Path(sys.executable or "").name.lower().startswith("py"):
         return compile_modules(name for group in KERNEL_GROUPS for name in group)
     shares, own = KERNEL_GROUPS[: n - 1], [name for group in KERNEL_GROUPS[n - 1 :] for name in group]
@@ -198,7 +198,7 @@ def _compile_in_parallel() -> None:
 
 
 class _KernelCacheLocator(_CacheLocator):  # type: ignore[misc]
-    """The place of a kernel in the cache, as numba asks for it."""
+    """The place of a kernel in the cache, by numba's interface."""
 
     def __init__(self, py_func: Callable, py_file: str) -> None:
         self._py_file, self._module = py_file, py_func.__module__
@@ -222,7 +222,7 @@ class _KernelCacheFiles(CompileResultCacheImpl):  # type: ignore[misc]
 
 
 class _KernelCache(FunctionCache):  # type: ignore[misc]
-    """The compiled versions of a kernel. What cannot be read or kept is compiled anew."""
+    """The compiled versions of a kernel. Unreadable ones are compiled again."""
 
     _impl_class = _KernelCacheFiles
 
@@ -235,5 +235,5 @@ class _KernelCache(FunctionCache):  # type: ignore[misc]
             return None
 
     def save_overload(self, sig: object, data: object) -> None:
-        with suppress(Exception):  # likewise, or a full disk
+        with suppress(Exception):  # a full disk, or any error of numba
             super().save_overload(sig, data)

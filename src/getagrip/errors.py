@@ -1,7 +1,4 @@
-"""Every error that the package raises on purpose; the command line turns each into one line.
-
-Arguments of calls: an unknown name or a value of another kind raises an error that says what is right.
-"""
+"""The package's errors, which the command line shows as one line each, and checks of public functions' arguments."""
 
 from __future__ import annotations
 
@@ -15,26 +12,23 @@ from pathlib import Path
 from typing import ParamSpec, Self, TypeVar, get_args, get_type_hints
 
 MAX_QUOTED_CHARACTERS = 500
-"""Characters that a message says of what was given: parsers quote the whole of what they do not understand."""
+"""Length of a value in a message: parsers quote all of an invalid text."""
 
 
 def escape_unprintable(text: str, kept: str = "") -> str:
-    """Escape unprintable characters, as Python does, so that a text moves no cursor and colours nothing on a terminal.
-
-    ``kept`` are characters that stay as they are.
-    """
+    """Escape unprintable characters except for ``kept``, so that a text cannot control a terminal."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in text)
 
 
 def replace_surrogates(text: str) -> str:
-    """Replace bytes of file names that are no UTF-8, so that a page or a table can hold the text."""
+    """Replace invalid UTF-8 of file names, so that pages and tables can be encoded."""
     return re.sub("[\ud800-\udfff]", "\ufffd", text)
 
 
 class GetagripError(Exception):
-    """Base class of all errors that a user can cause. The message names the culprit, its value and what is allowed."""
+    """Base class of all errors that a user can cause. The message names the culprit, its value and allowed values."""
 
 
 class UsageError(GetagripError):
@@ -46,15 +40,15 @@ class MissingOptionError(UsageError):
 
 
 def unknown_choice_error(what: str, got: object, known: Iterable[object]) -> UsageError:
-    """Make the error for a name that is none of those known."""
+    """Make the error for an unknown name."""
     return UsageError(f"unknown {what} {got!r}; choose from {', '.join(map(str, known))}")
 
 
 class InputError(GetagripError):
     """A file is missing, malformed or holds impossible values (exit status 1).
 
-    The message, on one line, reads ``<file>: <key> must be <expected> (got <given>)``, with advice behind a semicolon;
-    ``<file>: missing <key>``; or ``<key> cannot be used with ...``, if ``expected`` begins with "none with".
+    The message, on one line, reads ``<file>: <key> must be <expected> (got <got>)``, then advice after a semicolon;
+    ``<file>: missing <key>``; or ``<key> cannot be used with ...`` if ``expected`` begins with "none with".
     """
 
     def __init__(self, path: str | Path, key: str, got: str, expected: str) -> None:
@@ -64,11 +58,10 @@ class InputError(GetagripError):
 
 
 MISSING_VALUE_TEXTS = ("nothing", "no such key", "no such array")
-"""Values given where something that has a name is missing."""
+"""Texts of ``InputError.got`` for a missing key."""
 
 
 def _describe_mismatch(key: str, got: str, expected: str) -> str:
-    """Return the second half of a message about a file: the key, the value and what is expected."""
     verb = "needs" if re.match(r"some\b|one (at least|for each)", expected) else "must be"
     named = f": {key}" if key else ""
     if got in MISSING_VALUE_TEXTS or got.startswith("no "):
@@ -92,7 +85,7 @@ ARGUMENT_TYPES = {
     "Path": "a path: a text or a pathlib.Path",
     "str": "a text",
 }
-"""The kinds of values that are checked, by the names of their classes, and how to get one."""
+"""Classes of checked arguments, by name, with their descriptions in errors: kind, and how to make one."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -102,16 +95,16 @@ class NamedFields:
     """A base of dataclasses; an unknown field raises ``UsageError`` with the names most like it."""
 
     def __new__(cls, *_: object, **named: object) -> Self:
-        """Check the names of the fields that are given."""
+        """Check the names of keyword arguments."""
         if named:
             check_names(f"argument of {cls.__name__}", named, [field.name for field in fields(cls)])  # type: ignore[arg-type]
         return super().__new__(cls)
 
 
 def check_arguments(function: Callable[P, R]) -> Callable[P, R]:
-    """Make a function raise ``UsageError`` for an unknown keyword argument, and for an argument of another kind.
+    """Make a function raise ``UsageError`` for an unknown keyword argument, and for an argument of a wrong class.
 
-    It suggests the names most like it, fields of the dataclass ``options`` as ``options=...(field=...)``.
+    The error suggests similar names, including fields of the dataclass ``options`` as ``options=...(field=...)``.
     """
     parameters = signature(function).parameters
     known = [name for name in parameters if not name.startswith("_") and name != "self"]
@@ -128,29 +121,23 @@ def check_arguments(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def argument_types(annotations: Mapping[str, object]) -> dict[str, tuple[str, ...]]:
-    """Return the names of the classes that values may have, of those whose annotations name ``ARGUMENT_TYPES`` and None only."""
+    """Return the allowed classes by argument, for annotations that name only ``ARGUMENT_TYPES`` and None."""
     split = {name: tuple(str(hint).replace(" ", "").split("|")) for name, hint in annotations.items()}
     return {name: kinds for name, kinds in split.items() if {*kinds} <= {*ARGUMENT_TYPES, "None"}}
 
 
 def check_types(where: str, given: Mapping[str, object], kinds: Mapping[str, tuple[str, ...]]) -> None:
-    """Raise ``UsageError`` for a value of another kind than its name may have.
+    """Raise ``UsageError`` for a value outside the classes of its name.
 
-    ``where`` is how the error calls it, with its name for ``{}``.
+    ``where`` is the value's description in the error, with ``{}`` for its name.
     """
     for name, value in given.items():
         if name not in kinds or _is_instance_of(value, kinds[name]):
             continue
         expected = next(ARGUMENT_TYPES[kind] for kind in ARGUMENT_TYPES if kind in kinds[name])
-        got = (
-            repr(str(value)[:80])
-            if _is_instance_of(value, ("str", "Path"))
-            else f"a value of type {type(value).__name__}"
-        )
-        if any(
-            _is_instance_of(value, kinds[other]) and not _is_instance_of(given.get(other), kinds[other])
-            for other in kinds
-        ):
+        is_text = _is_instance_of(value, ("str", "Path"))
+        got = repr(str(value)[:80]) if is_text else f"a value of type {type(value).__name__}"
+        if any(_is_instance_of(value, of) and not _is_instance_of(given.get(one), of) for one, of in kinds.items()):
             expected = f"{expected.partition(';')[0]}; the order is {', '.join(kinds)}"
         must_be, semicolon, advice = expected.partition(";")
         raise UsageError(f"{where.format(name)} must be {must_be} (got {got}){semicolon}{advice}")
@@ -161,9 +148,9 @@ def _is_instance_of(value: object, kinds: tuple[str, ...]) -> bool:
 
 
 def check_names(what: str, given: Collection[str], known: Collection[str]) -> None:
-    """Raise ``UsageError`` for a name that is none of those known; it lists those most like it, else all.
+    """Raise ``UsageError`` for an unknown name; the error lists similar names, else all.
 
-    Of ``options=Options(inits=...)`` the name inside counts.
+    In ``options=Options(inits=...)`` the inner name counts.
     """
     inner = {name.partition("(")[2].removesuffix("=...)"): name for name in known if "(" in name}
     for name in given:
@@ -174,7 +161,7 @@ def check_names(what: str, given: Collection[str], known: Collection[str]) -> No
 
 
 def _option_fields(function: Callable[..., object]) -> list[str]:
-    """List the fields of a function's options, as they are given in a call."""
+    """List the fields of a function's options, as written in a call."""
     hint = get_type_hints(function).get("options") if "options" in signature(function).parameters else None
     made = next((one for one in get_args(hint) if isinstance(one, type) and is_dataclass(one)), None)
     return [] if made is None else [f"options={made.__name__}({field.name}=...)" for field in fields(made)]

@@ -33,24 +33,24 @@ NEW_NAMES = {
     "segmentation.found": "timelines.detect.detect_segments",
     "timelines.reconstruct": "reconstruct",
 }
-"""Names within the package, old and new. Not all that moved: names that no page imports are left out."""
+"""Old and new names within the package, for modules that pages import."""
 
 
 class _FormerModules:
-    """Finder of former names, asked after all others."""
+    """A finder of former names, after all other finders."""
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        """Return the spec of a former name, or of a former package of one; None for any other."""
+        """Return the spec of a former module or its package; None for other names."""
         former = name.removeprefix("getagrip.")
         if name == former or not any(f"{one}.".startswith(f"{former}.") for one in NEW_NAMES):
             return None
         return ModuleSpec(name, self, is_package=True)  # type: ignore[arg-type]
 
     def create_module(self, spec: ModuleSpec) -> None:
-        """Leave this to Python."""
+        """Leave the module's creation to Python."""
 
     def exec_module(self, module: ModuleType) -> None:
-        """Have the module look its names up in the one that has them now. Warns whoever imports them."""
+        """Make the module look up its names in the new one, with a ``DeprecationWarning``."""
         new = NEW_NAMES.get(module.__name__.removeprefix("getagrip."))
 
         def look_up(name: str) -> object:

@@ -1,4 +1,4 @@
-"""Provenance: the source of each part of a clip's data, and how far it can be relied on."""
+"""Provenance: the source of each part of a clip's data, and whether it is measured, estimated or assumed."""
 
 from __future__ import annotations
 
@@ -15,18 +15,20 @@ from getagrip.io import files
 from getagrip.io.terminal import print_note, warn
 
 Basis = Literal["measured", "estimated", "assumed"]
-"""From a sensor, the ground truth or the user; found by an algorithm; neither of these."""
+"""From a sensor, the ground truth or the user; found by an algorithm; neither."""
 HandsKind = Literal["measured", "estimated"]
 """Kind of a clip's hands: from sensors or the ground truth; estimated from images, or assumed."""
 EXTRAPOLATED_HANDS_KEY = "hands_held"
-"""Key of a clip's provenance: frames in which the hand is not known, and stands still."""
+"""Key of a clip's provenance: frames with an unknown hand, for which the nearest known one stands still."""
 MIN_BASIS_VERSION = 4
-"""The version of ``clip.json`` from which on sources have a basis; before, a guess said so in its text."""
+"""First version of ``clip.json`` whose sources have a basis; before, assumptions said "guess" in their text."""
+PROVENANCE_PREFIX, BASIS_PREFIX = "provenance_", "basis_"
+"""Prefixes of arrays in a hand file."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """The source of an input, and its basis.
+    """The source of an input.
 
     Attributes:
         text: a description of the source.
@@ -40,15 +42,12 @@ class Source:
         return self.text
 
 
-PROVENANCE_PREFIX, BASIS_PREFIX = "provenance_", "basis_"
-"""Names of arrays in a hand file begin with these."""
-
 Provenance = dict[str, object]
-"""By topic (``camera``, ``scale``, ``hands``): ``Source``, or what else is known of it, as a JSON value."""
+"""A ``Source`` or another JSON value by topic (``camera``, ``scale``, ``hands``)."""
 
 
 def measured(text: str) -> Source:
-    """Make the source of a sensor's, the ground truth's or the user's value."""
+    """Make the source of a value from a sensor, the ground truth or the user."""
     return Source(text)
 
 
@@ -63,7 +62,7 @@ def estimated(text: str) -> Source:
 
 
 def kind_of_hands(provenance: Mapping[str, object]) -> HandsKind:
-    """Return the kind of a clip's hands; without a source they count as measured."""
+    """Return the kind of a clip's hands; without a source, ``measured``."""
     source = provenance.get("hands")
     return "estimated" if isinstance(source, Source) and source.basis != "measured" else "measured"
 
@@ -79,19 +78,19 @@ def assumptions(provenance: Mapping[str, object]) -> dict[str, str]:
 
 
 def join_sources(sources: Iterable[Source]) -> Source:
-    """Join several sources to one, as weak as the weakest of them."""
+    """Join several sources to one with the weakest basis."""
     each = tuple(dict.fromkeys(sources))
     weakest = max((source.basis for source in each), key=get_args(Basis).index)
     return Source("; ".join(dict.fromkeys(source.text for source in each)), weakest)
 
 
 def report_source(topic: str, source: object) -> None:
-    """Print the source of something; a warning where it is assumed."""
+    """Print the source of a topic, as a warning if it is assumed."""
     (warn if is_assumed(source) else print_note)(f"{topic}: {source}")
 
 
 def provenance_to_arrays(provenance: Mapping[str, object]) -> dict[str, ndarray]:
-    """Convert the sources to arrays of a hand file: the text of each, and the basis of those that are not measured."""
+    """Convert sources to arrays of a hand file: a text of each, and its basis."""
     texts = {f"{PROVENANCE_PREFIX}{topic}": np.array(str(source)) for topic, source in provenance.items()}
     sources = {topic: source for topic, source in provenance.items() if isinstance(source, Source)}
     return texts | {f"{BASIS_PREFIX}{topic}": np.array(source.basis) for topic, source in sources.items()}
@@ -111,31 +110,23 @@ def provenance_from_arrays(path: Path, arrays: Mapping[str, ndarray]) -> dict[st
             continue
         topic = key.removeprefix(PROVENANCE_PREFIX)
         basis = texts.get(f"{BASIS_PREFIX}{topic}")
-        found = (
-            _convert_old_source(text)
-            if basis is None
-            else _parse_source(path, topic, {"text": text, "basis": basis}, MIN_BASIS_VERSION)
-        )
+        entry = text if basis is None else {"text": text, "basis": basis}
+        found = _parse_source(path, topic, entry, 0 if basis is None else MIN_BASIS_VERSION)
         out[topic] = found if isinstance(found, Source) else Source(text)
     return out
 
 
 def parse_provenance(path: Path, entry: Mapping[str, object], version: int) -> Provenance:
-    """Read the provenance in a ``clip.json``. Raises ``InputError`` for a basis that there is not."""
+    """Read the provenance in a ``clip.json``. Raises ``InputError`` for an unknown basis."""
     return {topic: _parse_source(path, topic, value, version) for topic, value in entry.items()}
 
 
 def _parse_source(path: Path, topic: str, value: object, version: int) -> object:
     if version < MIN_BASIS_VERSION:
-        return _convert_old_source(value)
+        return assumed(value) if isinstance(value, str) and "guess" in value.lower() else value
     if not isinstance(value, dict) or value.keys() != {"text", "basis"}:
         return value
     if value["basis"] not in get_args(Basis) or not isinstance(value["text"], str):
         expected = f'{{"text": ..., "basis": one of {", ".join(get_args(Basis))}}}'
         raise InputError(path, f"provenance.{files.printable(topic)}", files.shorten_value(value), expected)
     return Source(value["text"], value["basis"])
-
-
-def _convert_old_source(value: object) -> object:
-    """Convert an entry of an older file, in which a word marked assumptions."""
-    return assumed(value) if isinstance(value, str) and "guess" in value.lower() else value

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import subprocess
-import sys
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
@@ -15,33 +14,18 @@ import pytest
 
 from getagrip.batch import ledger as ledger_module
 from getagrip.batch.ledger import Ledger, LedgerEntry
-from helpers.environment import import_path
-from helpers.jobs import drive
+from helpers.jobs import drive, start_driver, wait_for_tasks
 
 COUNT = 24
 
 
 def start(out: Path, seconds: float = 0.05, workers: int = 1) -> subprocess.Popen[str]:
-    """A driver as a process, which prints what has become of the tasks."""
-    code = (
-        "from pathlib import Path; from helpers.jobs import drive\n"
-        f"if __name__ == '__main__': print(*drive(Path({str(out)!r}), {COUNT}, {seconds}, {workers}), sep='\\n')"
-    )
-    words = [sys.executable, "-c", code]
-    return subprocess.Popen(words, env=import_path(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return start_driver(out, COUNT, seconds, workers)
 
 
 def runs(out: Path) -> Counter[str]:
     """How often each task was run."""
     return Counter((out / "runs").read_text().splitlines()) if (out / "runs").exists() else Counter()
-
-
-def wait_for(out: Path, count: int) -> None:
-    """Wait until so many tasks are done."""
-    end = time.monotonic() + 30.0
-    while len(list(out.glob("task-??"))) < count:
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 @pytest.mark.slow
@@ -76,7 +60,7 @@ def test_a_killed_driver_is_continued_at_once_and_only_what_was_at_work_is_done_
     tmp_path: Path, workers: int
 ) -> None:
     driver = start(tmp_path, workers=workers)
-    wait_for(tmp_path, 5)
+    wait_for_tasks(tmp_path, 5)
     driver.send_signal(signal.SIGKILL)
     driver.communicate()
     before = {path.name for path in tmp_path.glob("task-??")}

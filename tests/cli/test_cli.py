@@ -1,20 +1,26 @@
-"""The commands: exit statuses, messages, batches that survive their clips."""
+"""The program: how it starts, exit statuses, messages, and batches that survive their clips."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from getagrip.cli import command_groups
+import getagrip
+from getagrip import __main__
+from getagrip.cli import command_groups, main
 from getagrip.cli.command import Command
 from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.result import read_result
-from helpers.environment import Run
+from helpers.environment import ROOT, Run
 from helpers.folders import results_in
 
 QUICK = ("--inits", "8", "--frames", "4")
@@ -139,7 +145,7 @@ def test_a_clip_goes_all_the_way(run: Run, can_and_box: Path, tmp_path: Path) ->
     here = {path.name: read_result(path)[0].T_hand_obj for path in results_in(out)}
     status, printed, _ = run("reconstruct", can_and_box / "can", "--out", out, *QUICK, "--seed", 3)
     assert status == 0
-    assert "done again, since what was there is of another seed: IOU" in printed
+    assert "done again, since the earlier result is of another seed: IOU" in printed
     in_a_process = ("--overwrite", "--limit-seconds", 600)
     assert run("reconstruct", can_and_box / "can", "--out", out, *QUICK, *in_a_process)[0] == 0
     for name, T_hand_obj in here.items():
@@ -259,10 +265,7 @@ def test_help_shows_what_may_be_left_out_and_what_a_root_may_be(run: Run) -> Non
 
 @pytest.mark.parametrize(
     ("args", "words"),
-    [
-        (("--K", "1000", "1000", "960"), "Expected 4 values"),
-        (("--side", "l"), "Expected one of ('left', 'right')"),
-    ],
+    [(("--K", "1000", "1000", "960"), "Expected 4 values"), (("--side", "l"), "Expected one of ('left', 'right')")],
 )
 def test_wrong_values_are_explained_without_types(run: Run, args: tuple[str, ...], words: str, tmp_path: Path) -> None:
     status, _, err = run("clip", "new", "v.mp4", "--out", tmp_path / "clip", *args)
@@ -303,3 +306,64 @@ def test_home_is_meant_where_no_shell_says_so(run: Run, tmp_path: Path, monkeypa
         assert status
         assert f"{tmp_path}/home/a" in err
     assert not (tmp_path / "~").exists()
+
+
+def test_an_interrupt_while_modules_load_leaves_no_traceback(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    class Interrupted:
+        def find_spec(self, name: str, *_: object) -> None:
+            if name == "getagrip.cli":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "getagrip.cli")
+    monkeypatch.delattr(getagrip, "cli")
+    monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
+    assert __main__.main() == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_the_program_is_installed_with_it() -> None:
+    content = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert content["project"]["scripts"] == {"getagrip": "getagrip.__main__:main"}
+
+
+@pytest.mark.slow
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import sys, getagrip\n"
+        "from getagrip.cli import main\n"
+        "try: main(['reconstruct', '--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numpy', 'numba', 'scipy', 'trimesh', 'cv2', 'matplotlib', 'igl'} & set(sys.modules)\n"
+        "sys.exit(','.join(heavy) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_version_is_printed(run: Run) -> None:
+    assert run("--version")[:2] == (0, f"getagrip {getagrip.__version__}\n")
+
+
+@pytest.mark.parametrize("closed", ["stdout", "stderr"])
+def test_closed_output_is_no_error(closed: str, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setattr(sys, closed, None)
+    for args, status in ((["--help"], 0), (["reconstrct"], 2), (["evaluate", "none"], 1)):
+        try:
+            found = main(args)
+        except SystemExit as exit_:
+            found = int(exit_.code or 0)
+        assert found == status
+    getattr(sys, closed).close()
+    assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_reader_that_leaves_ends_the_command_quietly() -> None:
+    command = [sys.executable, "-m", "getagrip", "init", "learn", "--help"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT / "src"), "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait() == 141

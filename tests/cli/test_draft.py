@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -10,13 +11,19 @@ import cv2
 import numpy as np
 import pytest
 
+from getagrip.cli import calls
 from getagrip.cli.annotate import MARKS_DATABASE
+from getagrip.cli.calls import command_of_call
+from getagrip.cli.command import Command
 from getagrip.cli.import_hands import HandFile
+from getagrip.cli.reconstruct import Reconstruct
 from getagrip.clip import read_clip, with_evidence
 from getagrip.clip.depth import DEPTH_KEY
 from getagrip.clip.read_arrays import read_hand
+from getagrip.fitting.options import Options
 from getagrip.io.images import read_png
 from getagrip.studio.hands.detect_hands import find_jumps, is_cut
+from getagrip.studio.jobs import CommandCall
 from getagrip.studio.store.mark_store import MarkStore
 from helpers.environment import Run
 from helpers.labelled_scene import HEIGHT, POINTS, RADIUS, WIDTH, SceneNets, middle, write_scene
@@ -29,6 +36,12 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("getagrip.studio.hands.load_models", lambda _: SceneNets())
     return write_scene(tmp_path / "scene.mp4", 8)
+
+
+def quick_command(call: CommandCall) -> Command:
+    """The command of a call, with few initial poses and frames."""
+    command = command_of_call(call)
+    return replace(command, options=Options(inits=8, frames=4)) if isinstance(command, Reconstruct) else command
 
 
 @pytest.mark.slow
@@ -79,6 +92,7 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
     assert status == 1
     assert f"{WIDTH // 2} x {HEIGHT}" in err
     assert not (scene.parent / "out" / "found").exists(), "before any work"
+    monkeypatch.setattr(calls, "command_of_call", quick_command)
     status, out, err = run(*DRAFT, *box, *depth, "--depth-first", "1")
     assert status == 0, err
     made = scene.parent / "out"
@@ -94,8 +108,7 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
         0.6 + 0.001 * np.arange(1, 8)
     )
     commands: list[list[str]] = []
-    replaced = "getagrip.studio.jobs.run_command"  # it has run above
-    monkeypatch.setattr(replaced, lambda words, _: commands.append([*words]) or "")
+    monkeypatch.setattr(calls, "run_call", lambda call: commands.append(call.words) or "")  # it has run above
     wide = ("--object-box", f"{x},{y},{3 * RADIUS},{2 * RADIUS + 6}", *box[2:])
     again, out, err = run(*DRAFT, *wide)  # over it
     assert again == 0, err

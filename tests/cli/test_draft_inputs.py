@@ -12,12 +12,14 @@ import cv2
 import numpy as np
 import pytest
 
-import getagrip.studio.detect_grasps  # noqa: F401  (before its command is replaced)
+from getagrip.cli import calls
 from getagrip.cli.annotate import MARKS_DATABASE
+from getagrip.cli.calls import run_call
 from getagrip.cli.import_hands import HandFile
 from getagrip.clip import Clip
 from getagrip.clip.read_arrays import read_hand
 from getagrip.io.images import read_png, write_mask
+from getagrip.studio.jobs import CommandCall, NewClipCall
 from getagrip.studio.store.mark_store import MarkStore
 from helpers.environment import Run
 from helpers.hand_files import Known
@@ -33,7 +35,9 @@ SIDE = ("--side", "left")
 def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("getagrip.studio.hands.load_models", lambda _: SceneNets())
-    monkeypatch.setattr("getagrip.studio.jobs.run_command", lambda words, _: " ".join(words))
+    monkeypatch.setattr(calls, "run_call", lambda call: " ".join(call.words))
+    relift = "getagrip.studio.store.export_clip.write_relifted_hands"  # takes most of the time
+    monkeypatch.setattr(relift, lambda found, out, *_: out.write_bytes(found.read_bytes()))
     write_scene(tmp_path / "scene.mp4", FRAMES)
     return tmp_path
 
@@ -230,6 +234,11 @@ def test_grasps_are_found_and_marked(scene: Path, run: Run, monkeypatch: pytest.
             return SimpleNamespace(grasps=grasps, notes=("a note",))
 
         monkeypatch.setattr("getagrip.studio.detect_grasps.find_segments", find)
+
+    def only_clips(call: CommandCall) -> str:
+        return run_call(call) if isinstance(call, NewClipCall) else ""
+
+    monkeypatch.setattr(calls, "run_call", only_clips)
 
     for grasps, said, marked in (
         ([(1, 3), (4, 6)], "2 stable grasps found: frames 3 to 5, frames 6 to 8;", [(2, 4), (5, 7)]),

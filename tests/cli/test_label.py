@@ -67,8 +67,8 @@ def test_what_is_labelled_is_solved_once_and_exported(videos: Path, run: Run, mo
     solved: list[Any] = []
     exported: list[Any] = []
 
-    def solve(words: list[str], shape: object, out: Path, name: str, *_: object) -> str:
-        solved.append((words, shape))
+    def solve(new_clip: jobs.NewClipCall, shape: object, out: Path, name: str, *_: object) -> str:
+        solved.append((new_clip.words, shape))
         files.write_json(jobs.result_folder(out, name) / "result.json", {})
         return "it is held"
 

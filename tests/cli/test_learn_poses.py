@@ -66,11 +66,7 @@ def test_a_clip_without_poses_fails_where_they_stand_alone(
 
 @pytest.mark.parametrize(
     ("args", "status", "word"),
-    [
-        (("--leave-out", "Dan"), 2, "Ann, Bob"),
-        (("--k", "0"), 2, "--k"),
-        (("--out", "/dev/null/poses.npz"), 2, "--out"),
-    ],
+    [(("--leave-out", "Dan"), 2, "Ann, Bob"), (("--k", "0"), 2, "--k"), (("--out", "/dev/null/poses.npz"), 2, "--out")],
 )
 def test_wrong_calls_of_learning_are_refused(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], args: tuple[str, ...], status: int, word: str

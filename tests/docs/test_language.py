@@ -72,6 +72,7 @@ VERBS = re.findall(
     Reverse Rotate Run Sample Say Scale Score Search Segment Select Send Serve Set Shift Shorten Show Shrink
     Simplify Simulate Skip Smooth Solve Split Stack Start Strike Strip Study Subdivide Sum Summarise Take Trace Track
     Transform Triangulate Turn Unpack Wait Widen Write Yield
+    Download Extract Merge Propagate Redraw Resize Stabilize Stop Store Translate Undo
     """,
 )
 """The words with which public functions begin. A new one is added here, if it is an imperative."""

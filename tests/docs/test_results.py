@@ -17,13 +17,11 @@ from benchmarks import again, cite, release, results, store, test_runs
 from benchmarks.release import BENCHES
 from benchmarks.store import Column, Table
 from getagrip.bench.ablations import ablation_variants, method_variants
-from getagrip.bench.comparison import compare_variants
-from getagrip.bench.grasp_job import GraspClipScores
+from getagrip.bench.comparison import GraspClipScores, compare_variants
 from getagrip.bench.tables import clips_csv_rows, comparison_csv_rows, comparison_markdown
 from getagrip.cli.bench import Bench, Benches
 from getagrip.fitting.options import Options
 from getagrip.io import files
-from helpers.environment import ROOT
 from helpers.measures import score
 from helpers.pages import PAGES
 

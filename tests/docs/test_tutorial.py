@@ -15,8 +15,8 @@ from getagrip.clip import read_clip
 from getagrip.report.pictures.panels import AXIS_COLOUR
 from getagrip.result import read_result
 from getagrip.synthetic import scene_options
-from getagrip.synthetic.categories import SYNTHETIC_PRESETS
 from getagrip.synthetic.scene import clip_name
+from getagrip.synthetic.scene_options import SYNTHETIC_PRESETS
 from helpers.environment import ROOT, Run
 from helpers.pages import commands, pixels_of, read_picture
 

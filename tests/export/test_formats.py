@@ -126,10 +126,7 @@ def test_bop_poses_bring_the_model_into_the_camera(scene: Scene, tmp_path: Path)
 
 @pytest.mark.parametrize(
     ("split", "camera", "ground_truth"),
-    [
-        ("test-aria", "rgb", "scene_gt_rgb.json"),
-        ("test-quest3", "gray1", "scene_gt_gray1.json"),
-    ],
+    [("test-aria", "rgb", "scene_gt_rgb.json"), ("test-quest3", "gray1", "scene_gt_gray1.json")],
 )
 def test_clips_of_hot3d_have_the_names_of_bop(
     scene: Scene, tmp_path: Path, split: str, camera: str, ground_truth: str

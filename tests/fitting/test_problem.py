@@ -1,4 +1,4 @@
-"""Clips on disk and clips in memory are prepared alike, and of long ones only what is used is kept."""
+"""Clips on disk and clips in memory are prepared alike, and of long clips only sampled frames are kept."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ frame_numbers = st.lists(st.integers(0, FRAMES - 1), max_size=FRAMES)
 @settings(max_examples=5)
 @given(unseen=frame_numbers, hidden=frame_numbers, frames=st.integers(2, FRAMES + 3))
 @pytest.mark.slow
-def test_what_is_read_in_part_is_what_is_read_whole(
+def test_masks_read_in_part_are_those_read_whole(
     tmp_path_factory: Any, unseen: list[int], hidden: list[int], frames: int
 ) -> None:
     clip = written(tmp_path_factory.mktemp("clip") / "small", unseen, hidden)
@@ -77,11 +77,7 @@ def test_no_more_masks_are_in_memory_than_are_used(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(Masks, "packed", staticmethod(counted))
     problem = prepare_problem(clip, Options(frames=3))
     assert kept == [3]
-    assert problem.clip.frames == (
-        "0000",
-        "0005",
-        "0008",
-    )
+    assert problem.clip.frames == ("0000", "0005", "0008")
 
 
 def test_every_mask_is_checked_also_those_that_are_not_used(tmp_path: Path) -> None:

@@ -19,11 +19,9 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # children are forked: no threads befo
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis.errors import Flaky
 
-from fuzz.child import Finding
-from fuzz.corpus import Seed, keep
+from fuzz.child import SHARED, Finding
+from fuzz.corpus import READERS, Seed, keep
 from fuzz.mutations import Changes, changes
-from fuzz.reader import SHARED
-from fuzz.readers import READERS
 
 TURN = 4.0
 """Seconds of a reader at a time."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import multiprocessing
 import os
 import resource
+import shutil
 import signal
 import sys
 import tempfile
@@ -18,6 +20,31 @@ from pathlib import Path
 from typing import Any
 
 from getagrip.errors import GetagripError
+from helpers.held_ball import write_mano
+
+SHARED = Path(tempfile.mkdtemp(prefix="getagrip-fuzz-"))
+"""MANO's files, and what is kept of them: made once, read and written by many."""
+
+
+atexit.register(shutil.rmtree, SHARED, ignore_errors=True)
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One of them, as it is tried."""
+
+    write: Callable[[Path], object]
+    """Puts a valid input into an empty folder."""
+    read: Callable[[Path], object]
+    """Reads it. May raise ``GetagripError``."""
+    writable: tuple[Path, ...] = (SHARED,)
+
+
+def mano_folder() -> Path:
+    """MANO's files, synthetic."""
+    folder = SHARED / "mano"
+    return folder if folder.exists() else write_mano(folder)
+
 
 SECONDS, MEGABYTES = 10.0, 1200
 """Limits of a case, of processor time and memory: small inputs take milliseconds.

@@ -11,11 +11,16 @@ from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 
-from fuzz.child import Child, Finding
+from fuzz import clip_readers, dataset_readers, estimate_readers, service_readers
+from fuzz.child import Child, Finding, Reader
 from fuzz.mutations import Changes
-from fuzz.reader import Reader
-from fuzz.readers import READERS
 
+READERS: dict[str, Reader] = {
+    name: reader
+    for kind in (clip_readers, estimate_readers, dataset_readers, service_readers)
+    for name, reader in kind.READERS.items()
+}
+"""Every reader of the package by name, in the order of their turns."""
 CASES = Path(__file__).parent / "cases"
 LARGEST = 64 * 2**10
 """Bytes of a kept case."""

@@ -12,7 +12,7 @@ import av
 import cv2
 import numpy as np
 
-from fuzz.reader import Reader, mano_folder
+from fuzz.child import Reader, mano_folder
 from getagrip.io import arrays
 from getagrip.readers.datasets.arctic import Arctic
 from getagrip.readers.datasets.cutting import TrackedDataset

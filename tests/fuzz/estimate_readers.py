@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fuzz.reader import Reader, mano_folder
+from fuzz.child import Reader, mano_folder
 from getagrip.hands import mano
 from getagrip.io import arrays
 from getagrip.readers.cameras import read_camera_path

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fuzz.reader import SHARED, Reader
+from fuzz.child import SHARED, Reader
 from getagrip.batch.clips import ClipPlan
 from getagrip.batch.job import UNREAD_CLIP_FILES
 from getagrip.clip import read_clip, write_clip

@@ -13,10 +13,8 @@ import pytest
 
 from fuzz import __main__ as command
 from fuzz import corpus
-from fuzz.child import Child
-from fuzz.corpus import CASES, Seed
-from fuzz.reader import SHARED, Reader
-from fuzz.readers import READERS
+from fuzz.child import SHARED, Child, Reader
+from fuzz.corpus import CASES, READERS, Seed
 from getagrip.errors import InputError
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from getagrip.errors import UsageError
-from getagrip.geometry.camera import Distortion
+from getagrip.geometry.lens import Distortion
 
 SIZE = (320, 240)
 K = np.array([[250.0, 0.0, 163.0], [0.0, 252.0, 118.0], [0.0, 0.0, 1.0]])

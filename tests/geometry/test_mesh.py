@@ -1,4 +1,4 @@
-"""Meshes: edge tables against brute force, winding, normals, reading and decimating."""
+"""Meshes: normals, sizes, edges, simplification, subdivision; and mesh files."""
 
 from __future__ import annotations
 
@@ -13,10 +13,23 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.spatial.distance import pdist
 
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import Mesh, decimate, edge_table, merge_vertices, subdivide_parts, vertex_normals
+from getagrip.geometry.mesh import (
+    Mesh,
+    decimate,
+    diameter,
+    edge_length,
+    edge_table,
+    merge_vertices,
+    same_rows,
+    subdivide_parts,
+    subdivide_surface,
+    vertex_normals,
+)
 from getagrip.geometry.mesh_files import MESH_SUFFIXES, obj, read_mesh, write_mesh
 from getagrip.geometry.mesh_files.obj import parse_obj
 from getagrip.metrics.contact import signed_distance
@@ -246,3 +259,98 @@ def test_an_obj_file_says_what_its_lines_say(data: st.DataObject) -> None:
     vertices, faces = parse_obj(Path("m.obj"), data.draw(st.sampled_from(["\n", "\r\n"])).join(lines).encode())
     assert vertices.tolist() == points
     assert faces.tolist() == expected
+
+
+BOX = trimesh.creation.box((0.3, 0.1, 0.02))
+MESH = Mesh(np.asarray(BOX.vertices), np.asarray(BOX.faces))
+
+
+@given(st.floats(0.01, 0.4))
+@pytest.mark.slow
+def test_the_surface_stays_and_no_edge_is_longer(longest: float) -> None:
+    vertices, faces = subdivide_surface(MESH.vertices, MESH.faces, longest)
+    fine = Mesh(vertices, faces)
+    assert fine.is_closed
+    assert fine.volume == pytest.approx(MESH.volume)
+    assert fine.vertex_areas.sum() == pytest.approx(MESH.vertex_areas.sum())
+    np.testing.assert_array_equal(vertices[: len(MESH.vertices)], MESH.vertices)
+    assert np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=-1).max() <= longest
+
+
+def test_a_face_is_split_by_how_many_of_its_edges_are_long() -> None:
+    flat, tall = [[0.0, 0.0], [2.0, 0.0], [1.0, 0.3]], [[0.0, 0.0], [0.2, 0.0], [0.1, 1.0]]
+    even = [[0.0, 0.0], [1.0, 0.0], [0.5, 0.9]]
+    for corners, longest, faces in ((flat, 2.5, 1), (flat, 1.5, 2), (tall, 0.6, 3), (even, 0.9, 4)):
+        found = subdivide_surface(np.pad(corners, ((0, 0), (0, 1))), np.array([[0, 1, 2]]), longest)
+        assert len(found[1]) == faces
+        assert np.all(Mesh(*found).normals[:, 2] > 0)  # every small triangle is wound as the large one
+
+
+def test_about_as_many_vertices_as_asked_for() -> None:
+    ball = trimesh.creation.icosphere(1)
+    for mesh in (MESH, Mesh(np.asarray(ball.vertices), np.asarray(ball.faces))):
+        longest = edge_length(float(mesh.vertex_areas.sum()), 4500)
+        assert 2000 < len(subdivide_surface(mesh.vertices, mesh.faces, longest)[0]) < 9000
+
+
+def cloud(kind: str, count: int, seed: int) -> np.ndarray:
+    """Random points; on a sphere and on a lattice very many pairs are as far apart as the farthest, or nearly."""
+    points = np.random.default_rng(seed).standard_normal((count, 3))
+    if kind == "sphere":
+        return points / np.linalg.norm(points, axis=1, keepdims=True)
+    if kind == "antipodes":
+        half = cloud("sphere", (count + 1) // 2, seed)
+        return np.concatenate([half, -half]) * 0.05
+    if kind == "lattice":
+        return np.round(points) * 0.1
+    if kind == "plane":
+        return points * [1.0, 0.3, 0.0]
+    return points * 0.1 + 20.0 if kind == "far off" else points
+
+
+@pytest.mark.parametrize("kind", ["ball", "sphere", "antipodes", "lattice", "plane", "far off"])
+@given(count=st.sampled_from([1, 2, 3, 40, 700]), seed=st.integers(0, 2**32 - 1))
+def test_the_diameter_is_the_largest_distance_to_the_last_bit(kind: str, count: int, seed: int) -> None:
+    points = cloud(kind, count, seed)
+    assert diameter(points) == pdist(points).max(initial=0.0)
+
+
+def test_the_diameter_of_a_plane_misses_no_point() -> None:
+    points = cloud("plane", 3000, 0)
+    assert diameter(points) == pdist(points).max()
+
+
+@given(points=arrays(float, (12, 3), elements=st.floats(-1.0, 1.0)))
+def test_the_diameter_of_any_points_is_the_largest_distance(points: np.ndarray) -> None:
+    distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    assert diameter(points) == pytest.approx(distances.max(), abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["sphere", "antipodes"])
+@pytest.mark.slow
+def test_the_diameter_takes_memory_in_proportion_to_the_points(kind: str) -> None:
+    """All of them are corners of their convex hull: a table of their distances would take 1.6 GB."""
+    assert peak(cloud(kind, 20_000, 0)) < 4e6
+
+
+def test_copies_of_a_point_are_one_to_the_diameter() -> None:
+    assert peak(np.repeat(0.1 * np.eye(3), 7_000, axis=0)) < 4e6
+
+
+def peak(points: np.ndarray) -> int:
+    """The most memory that ``diameter`` holds at a time, in bytes."""
+    tracemalloc.start()
+    try:
+        diameter(points)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+few = st.sampled_from([-1.5, -0.0, 0.0, 2.0])
+
+
+@given(arrays(float, st.tuples(st.integers(0, 20), st.integers(1, 3)), elements=few))
+def test_they_are_numbered_as_by_numpy(rows: np.ndarray) -> None:
+    _, number = np.unique(rows, axis=0, return_inverse=True)
+    np.testing.assert_array_equal(same_rows(rows), number.ravel())

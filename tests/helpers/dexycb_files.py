@@ -11,7 +11,8 @@ from getagrip.hands import generic
 from getagrip.hands.fit_joints import JOINT_ORDERS
 from getagrip.readers.datasets.cutting import cut_into_grasps
 from getagrip.readers.datasets.dataset import clips
-from getagrip.readers.datasets.dexycb.dexycb_clips import GRASPS_WITHIN_10_MM, DexYcb
+from getagrip.readers.datasets.dexycb.dexycb_clips import DexYcb
+from getagrip.readers.datasets.tracks import GRASPS_WITHIN_10_MM
 
 SUBJECT, SEQUENCE, HELD, OTHER = "20200709-subject-01", "20200709_141754", "025_mug", "003_cracker_box"
 NAME = f"{SUBJECT}--{SEQUENCE}--{HELD}"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -11,6 +13,7 @@ from pathlib import Path
 from getagrip.batch.engine import Engine
 from getagrip.batch.executor import Processes, Start
 from getagrip.batch.ledger import Ledger, LedgerEntry
+from helpers.environment import import_path
 
 
 def work(job: int) -> str:
@@ -98,3 +101,23 @@ def drive(
     errands = (Errand(f"task-{n:02d}", out, seconds) for n in range(count))
     with Ledger(out) as ledger:
         return sorted(f"{entry.name} {entry.state}" for entry in engine.run(errands, ledger))
+
+
+def start_driver(out: Path, count: int, seconds: float, workers: int, executor: str = "None") -> subprocess.Popen[str]:
+    """Start ``drive`` in a process that prints what has become of the tasks; ``executor`` is an expression."""
+    code = (
+        "from functools import partial; from pathlib import Path\n"
+        "from getagrip.batch.clusters import RayExecutor; from helpers.jobs import drive\n"
+        f"call = Path({str(out)!r}), {count}, {seconds}, {workers}\n"
+        f"if __name__ == '__main__': print(*drive(*call, {executor}), sep='\\n')"
+    )
+    words = [sys.executable, "-c", code]
+    return subprocess.Popen(words, env=import_path(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for_tasks(out: Path, count: int) -> None:
+    """Wait until ``count`` tasks are done."""
+    end = time.monotonic() + 120.0
+    while len(list(out.glob("task-??"))) < count:
+        assert time.monotonic() < end
+        time.sleep(0.01)

@@ -152,7 +152,7 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
         "cli._parse_command": lambda words: parsed(tuple(words)),
         "synthetic.scene_options.DEMO_SCENE_OPTIONS": SHORT,
         "cli.doctor._smoke_test": lambda: None,
-        "studio.hands.load": lambda _: SceneNets(),
+        "studio.hands.load_models": lambda _: SceneNets(),
         "synthetic.scene.synthesise": made,
         "bench.comparison.ABLATION_PLOT_METRICS": ("iou",),
         "bench.segments._find_in_both_directions": lambda _: dict.fromkeys(TIME_DIRECTIONS, spans),

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.bench.grasp_job import GraspVariantScore
+from getagrip.bench.comparison import GraspVariantScore
 from getagrip.clip import Clip
 from getagrip.fitting.options import Options, PriorsFile
 from getagrip.fitting.solver import initial_poses as priors

@@ -123,14 +123,8 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "must be integers": (lambda: Mesh(np.eye(3), TRIANGLE * 1.0), "Mesh.faces"),
     "must be an array": (lambda: Mesh([[0.0, 1.0, 2.0]], TRIANGLE), "Mesh.vertices"),
     "got uint8": (changed(Masks, object=MASKS.object.astype(np.uint8)), "Masks.object"),
-    "must be booleans of shape (3, 24, 32)": (
-        changed(Masks, ignore=MASKS.ignore[:2]),
-        "Masks.ignore",
-    ),
-    "must be floats of shape (3, 4, 4)": (
-        changed(HandTrack, T_cam_hand=SHORT.hand.T_cam_hand),
-        "HandTrack.T_cam_hand",
-    ),
+    "must be booleans of shape (3, 24, 32)": (changed(Masks, ignore=MASKS.ignore[:2]), "Masks.ignore"),
+    "must be floats of shape (3, 4, 4)": (changed(HandTrack, T_cam_hand=SHORT.hand.T_cam_hand), "HandTrack.T_cam_hand"),
     "must be floats of shape (3, 21, 3)": (changed(HandTrack, joints=HAND.joints[:, :20]), "HandTrack.joints"),
     "missing thumb, index, middle, ring, pinky in": (changed(HandTrack, regions={}), "HandTrack.regions"),
     "got bool of shape (8,)": (

@@ -1,12 +1,18 @@
-"""What other packages add: found by name, loaded when used, and left out with a reason where that fails."""
+"""Plug-ins of other packages, extras, and the fingerprint of the code."""
 
 from __future__ import annotations
 
+import json
+import re
+import tomllib
 from collections.abc import Callable
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
+from getagrip.bench import grasps, segments, timelines
 from getagrip.checks import Check, Evidence, run_checks
 from getagrip.errors import UsageError
 from getagrip.io import plugins
@@ -14,7 +20,7 @@ from getagrip.io.plugins import PluginTable
 from getagrip.metrics.evaluate.comparison import Comparison
 from getagrip.metrics.evaluate.metric import IOU, Metric, compute_metrics
 from helpers.clips import small_clip
-from helpers.environment import write_package
+from helpers.environment import ROOT, write_package
 
 Install = Callable[..., Path]
 
@@ -64,11 +70,7 @@ def test_names_are_known_and_objects_loaded_when_asked_for(install: Install, tmp
     ],
 )
 def test_a_broken_one_is_named_and_left_out(
-    install: Install,
-    capsys: pytest.CaptureFixture[str],
-    request: pytest.FixtureRequest,
-    code: str,
-    why: str,
+    install: Install, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest, code: str, why: str
 ) -> None:
     module = f"torn{request.node.callspec.indices['code']}"
     install(module, "0.1", code, numbers=f"twelve = {module}:TWELVE")
@@ -131,3 +133,92 @@ def test_one_that_raises_stops_nothing_else(install: Install, capsys: pytest.Cap
     assert "getagrip.metrics 'cross' of cross 1 (cross:METRIC) failed" in capsys.readouterr().err
     with pytest.raises(NotImplementedError):
         compute_metrics(Comparison(clip, masks), [IOU])
+
+
+def test_parts_that_are_left_out_are_those_above_the_fit() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]["contracts"]
+    layers = [re.findall(r"\w+", layer) for layer in contracts[0]["layers"]]
+    (fit,) = (n for n, layer in enumerate(layers) if "fitting" in layer)
+    above = {part for layer in layers[:fit] for part in layer}
+    rooms = {part for part in plugins.UNFINGERPRINTED_PARTS if "/" not in part}
+    assert rooms == above - {"reconstruct", "timelines"}  # which call the fit
+    used = {
+        part
+        for path in (ROOT / "src/getagrip/timelines").glob("*.py")
+        for part in re.findall(r"(?:from|import) getagrip\.([\w.]+)", path.read_text("utf-8"))
+    }
+    assert any(part.startswith("fitting.") for part in used)
+    left_out = tuple(part.replace("/", ".") for part in plugins.UNFINGERPRINTED_PARTS)
+    assert [part for part in used if f"{part}.".startswith(tuple(f"{left}." for left in left_out))] == []
+    assert re.fullmatch("[0-9a-f]{16}", plugins.fingerprint())
+
+
+def test_what_is_made_otherwise_has_a_fingerprint_of_more_files() -> None:
+    """Of changed clips, other systems, segments and timelines: of files that are there, and each of them counts."""
+    parts = (
+        *grasps.CHANGES_CODE,
+        *grasps.EXTERNAL_SYSTEMS_CODE,
+        *segments.SEGMENT_CODE,
+        *timelines.TIMELINE_CODE,
+    )
+    assert all((plugins.PACKAGE / part).exists() for part in parts)
+    assert len({plugins.fingerprint(), *map(plugins.fingerprint, parts)}) == len({*parts}) + 1
+    assert plugins.fingerprint("metrics/evaluate", "timelines/detect") == plugins.fingerprint(
+        "timelines/detect", "metrics/evaluate"
+    )
+
+
+NEEDS = [
+    "numpy>=2.0", "usd-core>=25.5; extra == 'usd'", "mujoco>=3.2; extra == 'mujoco'",
+    "vhacdx>=0.0.8; extra == 'mujoco'", "getagrip[mujoco,usd]; extra == 'all'",
+]  # fmt: skip
+
+
+class Installed:
+    """A distribution with some record of where it came from."""
+
+    def __init__(self, record: object) -> None:
+        self.record = record
+
+    def read_text(self, name: str) -> str | None:
+        assert name == "direct_url.json"
+        return None if self.record is None else json.dumps(self.record)
+
+
+@pytest.fixture
+def installed(monkeypatch: pytest.MonkeyPatch):
+    """Have the package installed by some record."""
+    monkeypatch.setattr(metadata, "requires", lambda _: NEEDS)
+    return lambda record: monkeypatch.setattr(metadata, "distribution", lambda _: Installed(record))
+
+
+def test_from_a_clone_the_clone_is_named(installed, tmp_path: Path) -> None:
+    folder = tmp_path / "a clone"
+    folder.mkdir()
+    installed({"url": folder.as_uri(), "dir_info": {"editable": True}})
+    assert plugins.install_command("usd") == f'pip install -e "{folder}[usd]"'
+    installed({"url": folder.as_uri(), "dir_info": {}})
+    assert plugins.install_command("usd") == f'pip install "{folder}[usd]"'
+
+
+def test_from_a_wheel_the_wheel_is_named_while_it_is_there(installed, tmp_path: Path) -> None:
+    wheel = tmp_path / "getagrip-0.1.0-py3-none-any.whl"
+    wheel.touch()
+    installed({"url": wheel.as_uri(), "archive_info": {}})
+    assert plugins.install_command("mujoco") == f'pip install "{wheel}[mujoco]"'
+    wheel.unlink()
+    assert plugins.install_command("mujoco") == 'pip install "mujoco>=3.2" "vhacdx>=0.0.8"'
+
+
+@pytest.mark.parametrize("record", [None, [], {"url": "https://example.org/x.whl"}, {"url": 3}, "text"])
+def test_else_the_libraries_are_named(installed, record: object) -> None:
+    installed(record)
+    assert plugins.install_command("usd") == 'pip install "usd-core>=25.5"'
+    assert plugins.install_command("all") == 'pip install "mujoco>=3.2" "vhacdx>=0.0.8" "usd-core>=25.5"'
+
+
+def test_every_extra_of_the_package_has_libraries() -> None:
+    for extra in metadata.metadata("getagrip").get_all("Provides-Extra") or ():
+        found = plugins.libraries_of(extra)
+        assert found
+        assert all(Requirement(each).name != "getagrip" for each in found)

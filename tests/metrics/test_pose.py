@@ -1,4 +1,4 @@
-"""ADD, rotation, translation, and the symmetries of objects: known answers and laws."""
+"""Errors of poses up to symmetries, and recalls over thresholds: known answers, laws and plain loops."""
 
 from __future__ import annotations
 
@@ -11,9 +11,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.geometry import se3
+from getagrip.geometry.camera import project
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.contact import signed_distance
-from getagrip.metrics.pose import ADD_SUCCESS_FRACTION, ObjectTrack, PoseErrors, best_symmetry, pose_errors
+from getagrip.metrics.pose import (
+    ADD_SUCCESS_FRACTION,
+    MSPD_THRESHOLDS_PX,
+    MSSD_THRESHOLDS,
+    VSD_TOLERANCES,
+    VSD_VISIBILITY_TOLERANCE_M,
+    ObjectTrack,
+    PoseErrors,
+    SymmetricErrors,
+    all_symmetries,
+    area_under_curve,
+    best_symmetry,
+    discrepancy,
+    nearest_add,
+    pose_errors,
+    ray_lengths,
+    recall_at_thresholds,
+    vsd_recall,
+)
 from getagrip.metrics.symmetry import Symmetries, find_symmetries, surface_points
 from getagrip.synthetic import objects
 
@@ -217,3 +236,129 @@ def test_the_turn_of_a_ball_is_never_an_error() -> None:
     predicted, true = ObjectTrack(T @ turn, 1.0), ObjectTrack(T, 1.0)
     best = best_symmetry(mesh, predicted, true, find_symmetries(mesh))
     assert pose_errors(mesh, predicted, true, best).add.max() < 1e-3 * mesh.diameter
+
+
+K = np.tile(np.array([[600.0, 0.0, 320.0], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]]), (3, 1, 1))
+
+
+def box() -> Mesh:
+    made = trimesh.creation.box((0.04, 0.06, 0.1)).subdivide()
+    return Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int64))
+
+
+def track(seed: int) -> ObjectTrack:
+    rng = np.random.default_rng(seed)
+    shift = np.array([0.0, 0.0, 0.6]) + rng.normal(0.0, 0.03, (3, 3))
+    return ObjectTrack(se3.rigid(se3.exp_so3(rng.normal(size=(3, 3))), shift), 1.1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_symmetric_errors_are_those_of_plain_loops(seed: int) -> None:
+    mesh, predicted, true = box(), track(seed), track(seed + 10)
+    errors = SymmetricErrors.of(mesh, predicted, true, find_symmetries(mesh))
+    assert len(errors.symmetries) == 4
+    in_space, in_image = [], []
+    for n in range(3):
+        P = se3.transform(predicted.T_ref_obj[n], 1.1 * mesh.vertices)
+        each = [se3.transform(true.T_ref_obj[n], 1.1 * se3.transform(S, mesh.vertices)) for S in errors.symmetries]
+        in_space.append(min(np.linalg.norm(P - Q, axis=1).max() for Q in each))
+        in_image.append(min(np.linalg.norm(project(K[n], P) - project(K[n], Q), axis=1).max() for Q in each))
+    np.testing.assert_allclose(errors.mssd(), in_space)
+    np.testing.assert_allclose(errors.mspd(K), in_image)
+
+
+def test_a_symmetry_is_no_error() -> None:
+    mesh, true = box(), track(1)
+    for S in find_symmetries(mesh).elements:
+        errors = SymmetricErrors.of(mesh, ObjectTrack(true.T_ref_obj @ _scaled(S), 1.1), true, find_symmetries(mesh))
+        assert errors.mssd().max() < 1e-6
+
+
+def _scaled(S: np.ndarray) -> np.ndarray:
+    out = S.copy()
+    out[:3, 3] *= 1.1
+    return out
+
+
+def test_a_cylinder_may_turn_about_its_axis_by_less_than_the_step_of_angles() -> None:
+    made = trimesh.creation.cylinder(0.03, 0.1, sections=64)
+    mesh, true = Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int64)), track(2)
+    found = find_symmetries(mesh)
+    turned = ObjectTrack(true.T_ref_obj @ se3.rigid(se3.exp_so3(np.array([0.0, 0.0, 1.234]))), 1.1)
+    assert len(all_symmetries(found)) == 2 * 72
+    assert SymmetricErrors.of(mesh, turned, true, found).mssd().max() < 1.1 * 0.03 * np.radians(2.5) + 1e-4
+
+
+def test_the_area_is_that_of_the_curve_of_recall() -> None:
+    error = np.random.default_rng(0).uniform(0.0, 0.2, 50)
+    thresholds = (np.arange(20000) + 0.5) / 20000 * 0.1
+    curve = np.mean(error[:, None] < thresholds)
+    assert area_under_curve(error).mean() == pytest.approx(curve, abs=1e-4)
+
+
+def test_add_s_is_the_mean_distance_to_the_nearest() -> None:
+    P, Q = np.random.default_rng(1).normal(size=(2, 3, 40, 3))
+    apart = np.linalg.norm(Q[:, :, None] - P[:, None], axis=-1).min(axis=2).mean(axis=1)
+    np.testing.assert_allclose(nearest_add(P, Q), apart)
+
+
+def test_recall_counts_thresholds() -> None:
+    np.testing.assert_allclose(recall_at_thresholds(np.array([0.0, 0.12, 9.0]), np.array([0.1, 0.2])), [1.0, 0.5, 0.0])
+
+
+def test_thresholds_are_bops() -> None:
+    """Ten each, evenly up to half the diameter and 50 px; the last is no success."""
+    for thresholds, last in ((MSSD_THRESHOLDS, 0.5), (MSPD_THRESHOLDS_PX, 50.0)):
+        expected = [1.0, 0.8, 0.1, 0.0]
+        np.testing.assert_allclose(recall_at_thresholds(last * np.array([0.0, 0.24, 0.94, 1.0]), thresholds), expected)
+
+
+TOLERANCES = VSD_TOLERANCES * 0.1
+
+
+def plain(predicted: np.ndarray, true: np.ndarray, scene: np.ndarray, tolerance: float) -> float:
+    """BOP's definition, one pixel after the other."""
+    cost = count = 0
+    for p, t, s in zip(predicted.flat, true.flat, scene.flat, strict=True):
+        visible_true = t > 0 and (s == 0 or t - s <= VSD_VISIBILITY_TOLERANCE_M)
+        visible = p > 0 and (s == 0 or p - s <= VSD_VISIBILITY_TOLERANCE_M or visible_true)
+        count += visible or visible_true
+        cost += (visible or visible_true) and not (visible and visible_true and abs(p - t) < tolerance)
+    return cost / count if count else 1.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_it_is_the_plain_definition(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    true = 0.5 + 0.01 * rng.normal(size=(6, 8))
+    predicted, scene = true + 0.03 * rng.normal(size=true.shape), true + 0.02 * rng.normal(size=true.shape)
+    for image in (true, predicted, scene):
+        image[rng.random(true.shape) < 0.3] = 0.0
+    expected = [plain(predicted, true, scene, tolerance) for tolerance in TOLERANCES]
+    np.testing.assert_allclose(discrepancy(predicted, true, scene, TOLERANCES), expected)
+
+
+def test_the_true_pose_has_none_and_one_elsewhere_is_all_wrong() -> None:
+    true, elsewhere, scene = np.zeros((3, 4, 6))
+    true[:, :2], elsewhere[:, 4:] = 0.5, 0.5
+    assert vsd_recall(discrepancy(true, true, scene, TOLERANCES)) == 1.0
+    assert vsd_recall(discrepancy(elsewhere, true, scene, TOLERANCES)) == 0.0
+    np.testing.assert_array_equal(discrepancy(np.zeros((4, 6)), np.zeros((4, 6)), scene, TOLERANCES), 1.0)
+
+
+def test_what_is_behind_the_scene_does_not_count() -> None:
+    true, predicted, scene = np.full((2, 2), 0.5), np.full((2, 2), 0.5), np.zeros((2, 2))
+    predicted[0], scene[0] = 0.6, 0.3  # wrong, behind a hand
+    assert discrepancy(predicted, true, scene, TOLERANCES).max() == 0.0
+
+
+def test_rays_are_as_long_as_points_of_depth_one_are_far() -> None:
+    K = np.array([[50.0, 0.0, 3.0], [0.0, 60.0, 2.5], [0.0, 0.0, 1.0]])
+    u, v = np.meshgrid(np.arange(4) + 0.5, np.arange(5) + 0.5)
+    points = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(K).T
+    np.testing.assert_allclose(ray_lengths(K, (4, 5)), np.linalg.norm(points, axis=-1))
+
+
+def test_recall_is_over_bops_tolerances_and_thresholds() -> None:
+    np.testing.assert_allclose(VSD_TOLERANCES, np.linspace(0.05, 0.5, 10))
+    assert vsd_recall(np.array([0.0, 0.12, 0.47, 0.5])) == pytest.approx((1.0 + 0.8 + 0.1) / 4)

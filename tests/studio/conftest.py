@@ -13,21 +13,20 @@ from getagrip.studio.project import Project
 from getagrip.studio.store.mark_store import MarkStore
 from getagrip.studio.store.tasks import Task
 from helpers import annotation
-from helpers import annotation as labelling
 from helpers.labelled_scene import write_scene, write_video
 
 
 @pytest.fixture(scope="session")
 def scene_video(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Footage of a hand with an object."""
-    return write_scene(tmp_path_factory.mktemp("video") / f"{labelling.VIDEO}.mp4")
+    return write_scene(tmp_path_factory.mktemp("video") / f"{annotation.VIDEO}.mp4")
 
 
 @pytest.fixture
-def clicking(scene_video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[labelling.Clicking]:
-    """Masks are carried at a quarter of the size, which is quicker."""
+def clicking(scene_video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[annotation.Clicking]:
+    """Masks are propagated at a quarter of the size, which is faster."""
     monkeypatch.setattr(propagate_clip, "OBJECT_WORKING_SIZE_PX", 50.0)
-    made = labelling.Clicking(scene_video, tmp_path)
+    made = annotation.Clicking(scene_video, tmp_path)
     yield made
     made.project.close()
 

@@ -20,6 +20,7 @@ from getagrip.studio.jobs import (
     BackgroundJob,
     CancelledError,
     DepthFiles,
+    NewClipCall,
     RequestedMesh,
     parse_requested_mesh,
     reconstruct_grasp_files,
@@ -29,14 +30,15 @@ from helpers.clips import small_clip
 from helpers.results import true_result
 
 
+def new_clip(folder: Path) -> NewClipCall:
+    """A call for a video that is missing."""
+    files = {"hands": folder / "hand.npz", "masks": folder / "masks"}
+    return NewClipCall(video=str(folder / "nothing.mp4"), interval=(1, 4), side="left", **files)
+
+
 def test_what_the_page_says_of_the_mesh() -> None:
     assert parse_requested_mesh({"mesh": " plate ", "size_mm": None}) == RequestedMesh("plate", None)
-    assert parse_requested_mesh({"mesh": "a b.obj", "size_mm": 180}).options == [
-        "--mesh",
-        "a b.obj",
-        "--size-mm",
-        "180",
-    ]
+    assert parse_requested_mesh({"mesh": "a b.obj", "size_mm": 180}) == RequestedMesh("a b.obj", 180.0)
     wrong: list[dict[str, Any]] = [
         {}, {"mesh": ""}, {"mesh": 3}, {"mesh": "--overwrite"}, {"mesh": "a\nb"}, {"mesh": 2000 * "x"},
         {"mesh": "plate", "size_mm": 0}, {"mesh": "plate", "size_mm": "180"}, {"mesh": "plate", "size_mm": True},
@@ -50,9 +52,7 @@ def test_what_the_page_says_of_the_mesh() -> None:
 def test_a_command_that_fails_ends_it_with_its_words(tmp_path: Path) -> None:
     job = BackgroundJob("reconstruct")
     with pytest.raises(GetagripError, match=r"^.*nothing.mp4.*no such file"):
-        reconstruct_grasp_files(
-            ["clip", "new", str(tmp_path / "nothing.mp4")], RequestedMesh("plate", None), tmp_path, "it", job
-        )
+        reconstruct_grasp_files(new_clip(tmp_path), RequestedMesh("plate", None), tmp_path, "it", job)
     assert job.message == "making the clip"
 
 
@@ -83,7 +83,7 @@ def test_folders_that_are_links_are_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "out" / name).symlink_to(tmp_path / "elsewhere")
     with pytest.raises(UsageError, match="got a link"):
         reconstruct_grasp_files(
-            ["doctor"], RequestedMesh("plate", None), tmp_path / "out", "it", BackgroundJob("reconstruct")
+            new_clip(tmp_path), RequestedMesh("plate", None), tmp_path / "out", "it", BackgroundJob("reconstruct")
         )
 
 

@@ -1,4 +1,4 @@
-"""The server of the page: frames and marks, for those with the token on this machine only."""
+"""The server of the page: frames, marks and labels, for users with the token on this machine only; hostile requests."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import sqlite3
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,23 +14,37 @@ import pytest
 
 from getagrip.cli.annotate import MARKS_DATABASE
 from getagrip.errors import UsageError
+from getagrip.studio import jobs
 from getagrip.studio.project import Project
 from getagrip.studio.server import MAX_BODY_BYTES, StudioServer, persistent_token, serve_on_free_port
+from getagrip.studio.store import labels
 from getagrip.studio.store.mark_store import MarkStore
 from getagrip.studio.store.tasks import Task
-from helpers.annotation import MARKED_VIDEO, ask, change, new
+from helpers.annotation import FIRST, LAST, MARKED_VIDEO, TAB, VIDEO, Clicking, ask, change, new
 from helpers.environment import Run
 from helpers.labelled_scene import NUMBERED_FRAMES, number_in, write_images
 
 
-@pytest.fixture
-def server(project: Project) -> Iterator[StudioServer]:
+@contextmanager
+def serving(project: Project) -> Iterator[StudioServer]:
     with StudioServer(project, 0) as made:
         thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
         yield made
         made.shutdown()
         thread.join()
+
+
+@pytest.fixture
+def server(project: Project) -> Iterator[StudioServer]:
+    with serving(project) as made:
+        yield made
+
+
+@pytest.fixture
+def label_server(clicking: Clicking) -> Iterator[StudioServer]:
+    with serving(clicking.project) as made:
+        yield made
 
 
 def test_frames_and_marks_over_http(server: StudioServer) -> None:
@@ -103,7 +118,7 @@ def test_a_token_is_neither_short_nor_read_through_a_link(tmp_path: Path) -> Non
         assert len(persistent_token(token)) >= 20
 
 
-def test_another_port_is_taken_where_the_usual_one_is_not_free(project: Project, monkeypatch: Any) -> None:
+def test_another_port_is_taken_where_the_default_one_is_in_use(project: Project, monkeypatch: Any) -> None:
     with StudioServer(project, 0) as busy:
         monkeypatch.setattr("getagrip.studio.server.DEFAULT_PORT", busy.server_port)
         with serve_on_free_port(project, "a-token") as other:
@@ -116,9 +131,9 @@ def test_another_port_is_taken_where_the_usual_one_is_not_free(project: Project,
     ("path", "content", "expected"),
     [
         ("/frame?task=nothing&n=0", None, 409), (f"/frame?task={MARKED_VIDEO}&n=70", None, 409),
-        (f"/frame?task={MARKED_VIDEO}&n=-1", None, 400), (f"/frame?task={MARKED_VIDEO}", None, 400), ("/frame", None, 400),
-        ("/../cli.py", None, 404), ("/page.js/../store.py", None, 404), ("/api/marks", None, 409),
-        ("/api/tasks?annotator=..%2Fx", None, 409), ("/grasps.csv?annotator=", None, 409),
+        (f"/frame?task={MARKED_VIDEO}&n=-1", None, 400), (f"/frame?task={MARKED_VIDEO}", None, 400),
+        ("/frame", None, 400), ("/../cli.py", None, 404), ("/page.js/../store.py", None, 404),
+        ("/api/marks", None, 409), ("/api/tasks?annotator=..%2Fx", None, 409), ("/grasps.csv?annotator=", None, 409),
         ("/api/change", b"{", 400), ("/api/change", b"[]", 400), ("/api/change", b"[" * 60_000, 400),
         ("/api/change", b"\xff\xfe", 400), ("/api/change", {}, 409), ("/api/undo", {}, 409), ("/api/other", {}, 404),
         ("/api/change", b" " * (MAX_BODY_BYTES + 1), 400),
@@ -159,3 +174,78 @@ def test_a_folder_of_images_is_served(tmp_path: Path) -> None:
     image, _, number = project.frame("P01_01", 2)
     assert (number_in(image), number) == (9, 9)
     project.close()
+
+
+def test_labels_over_http(label_server: StudioServer, clicking: Clicking) -> None:
+    where = "&".join(f"{key}={value}" for key, value in clicking.about.items())
+    status, _, answer = ask(label_server, "/api/label", clicking.change(4, {"joints": {"0": [10, 20]}}))
+    assert (status, json.loads(answer)["keyframes"][0]["frame"]) == (200, 4)
+    assert json.loads(ask(label_server, f"/api/labels?{where}")[2])["extent"] == [FIRST, LAST]
+    assert json.loads(ask(label_server, f"/api/drafts?{where}&since=0")[2]) == {"drafts": []}
+    status, head, text = ask(label_server, f"/labels.json?{where}")
+    assert status == 200
+    assert f"labels-ann-scene-{FIRST + 1}-{LAST + 1}-left.json" in head["Content-Disposition"]
+    assert labels.parse_labels(json.loads(text), "labels.json").frames.keys() == {4}
+    status, _, image = ask(label_server, f"/frame?task={VIDEO}&n=4&whole=1")
+    assert (status, image[:2]) == (200, b"\xff\xd8")
+    status, _, answer = ask(label_server, "/api/unlabel", clicking.about | {"change": new(), "tab": TAB})
+    assert (json.loads(answer)["undone"], json.loads(answer)["frame"]) == (True, 4)
+
+
+def test_a_report_is_one_that_was_drawn_here(
+    label_server: StudioServer, clicking: Clicking, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project, drawn = clicking.project, list[Path]()
+    result = project.labelling.out / "results" / project._grasp(clicking.about).name
+    where = "&".join(f"{key}={value}" for key, value in clicking.about.items())
+
+    def draw(folder: Path, job: object) -> str:
+        drawn.append(folder)
+        for name in jobs.REPORT_FILES:
+            (folder / name).unlink(missing_ok=True)  # a link is replaced
+            (folder / name).write_text("ours")
+        return ""
+
+    monkeypatch.setattr(jobs, "draw_report", draw)
+    assert ask(label_server, f"/report.html?{where}")[0] == 409
+    assert not result.exists()
+    result.mkdir(parents=True)
+    (result / "result.json").touch()
+    (result / "report.html").write_text("<script>a stranger's</script>")
+    (tmp_path / "secret").write_text("secret")
+    (result / "report.png").symlink_to(tmp_path / "secret")
+    for name in ("report.html", "report.png", "report.html"):
+        status, head, content = ask(label_server, f"/{name}?{where}")
+        assert (status, content) == (200, b"ours")
+        assert "sandbox allow-scripts" in head["Content-Security-Policy"]
+        assert "allow-same-origin" not in head["Content-Security-Policy"]
+    assert drawn == [result]
+    result.rename(tmp_path / "moved")
+    result.symlink_to(tmp_path / "moved")
+    assert ask(label_server, f"/report.html?{where}")[0] == 400
+
+
+@pytest.mark.slow
+def test_hostile_clicks_over_http_are_answered_in_words(label_server: StudioServer, clicking: Clicking) -> None:
+    many = {"outlines": {"the-disc": {"of": "object", "closed": True, "points": [[1, 1]] * 10**6}}}
+    body = json.dumps(clicking.change(4, {"joints": {"0": [1, 2]}}))
+    bodies = {
+        json.dumps(clicking.change(4, many)): 400, body.replace("[1, 2]", "[NaN, 1e999]"): 409,
+        body.replace("[1, 2]", "[" * 40_000 + "]" * 40_000): 400, body.replace("[1, 2]", '"' + "x" * 60_000 + '"'): 409,
+        body.replace("[1, 2]", "[1" + "0" * 5000 + ", 2]"): 400, body[:-1]: 400,
+    }  # fmt: skip
+    for text, expected in bodies.items():
+        status, head, answer = ask(label_server, "/api/label", text.encode())
+        assert (status, head["Content-Type"]) == (expected, "application/json")
+        assert len(answer) < 1000
+    assert len(json.dumps(many)) > MAX_BODY_BYTES
+    for path, content in (
+        ("/api/work", {"work": "rm"}),
+        ("/api/work", {"work": {}}),
+        ("/api/label", {}),
+        ("/api/unlabel", {}),
+    ):
+        assert ask(label_server, path, clicking.about | content)[0] == 409
+    for path in ("/api/labels", "/api/drafts", "/labels.json", "/api/drafts?since=-1"):
+        assert ask(label_server, path)[0] in (400, 409)
+    assert clicking.state()["newest"] == 0

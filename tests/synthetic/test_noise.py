@@ -109,8 +109,6 @@ def test_depth_and_fingers_leave_the_other_errors_as_they_are(made: tuple[Clip, 
 def test_fingers_bend_about_their_joints_and_keep_their_lengths(made: tuple[Clip, Masks]) -> None:
     hand = made[0].hand
     moved = noisy_hand(made[0], Noise(finger_bias_deg=10.0), np.random.default_rng(1))
-    assert hand.joints is not None
-    assert moved.joints is not None
     bones = [np.linalg.norm(np.diff(j.reshape(-1, 21, 3)[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=-1)
              for j in (hand.joints, moved.joints)]  # fmt: skip
     np.testing.assert_allclose(bones[0], bones[1], atol=1e-9)
@@ -132,7 +130,6 @@ def test_weights_found_from_joints_agree_with_the_skin(made: tuple[Clip, Masks])
 
 def test_no_bend_is_no_change(made: tuple[Clip, Masks]) -> None:
     hand = made[0].hand
-    assert hand.joints is not None
     vertices, joints = bend_fingers(hand.vertices, hand.joints, finger_weights(hand), np.zeros((len(made[0]), 5, 3)))
     np.testing.assert_allclose(vertices, hand.vertices, atol=1e-12)
     np.testing.assert_allclose(joints, hand.joints, atol=1e-12)
@@ -143,7 +140,6 @@ def test_no_bend_is_no_change(made: tuple[Clip, Masks]) -> None:
 
 def test_fingers_turn_sideways_as_a_whole_at_right_angles_to_their_bends(made: tuple[Clip, Masks]) -> None:
     hand = made[0].hand
-    assert hand.joints is not None
     still, angle = np.zeros((len(made[0]), 5, 3)), np.full((len(made[0]), 5), 0.3)
     joints = bend_fingers(hand.vertices, hand.joints, finger_weights(hand), still, angle)[1]
     first, moved = (j[:, 1:].reshape(-1, 5, 4, 3) for j in (hand.joints, joints))

@@ -1,7 +1,4 @@
-"""``getagrip reconstruct``: many clips, with a bar that moves and a line for each clip.
-
-Which clips a call is about: what paths and patterns stand for, by name, and a shard's part of them.
-"""
+"""``getagrip reconstruct``: find the clips of paths and patterns, reconstruct them, and print a line for each."""
 
 from __future__ import annotations
 
@@ -24,6 +21,7 @@ from getagrip.batch.job import (
     Outcome,
     StreamedJob,
     failed_outcome,
+    lost_outcome,
     preload_solver,
     reconstruct_one,
     reconstruct_streamed,
@@ -38,63 +36,61 @@ from getagrip.io.storage import ARCHIVE_SUFFIX, Place, RemotePath, parse_place
 from getagrip.io.terminal import print_note, print_result
 
 if TYPE_CHECKING:
-    from getagrip.batch.scheduling import BatchOptions
-    from getagrip.batch.summary import KeepOptions
+    from getagrip.batch.scheduling import BatchOptions, KeepOptions
     from getagrip.fitting.options import Options
 
 RESERVED_NAMES = ("index.html", "summary.csv", "ledger.sqlite", "ledger.sqlite-wal", "ledger.sqlite-shm", "clips")
-"""Files beside the results in their folder: no clip may have these names."""
+"""Files beside the results in their folder; clips may not have these names."""
 FOLDS_CASE = sys.platform in ("win32", "darwin")
-"""True where names that differ in the case of letters only are, as a rule, of one file."""
+"""Default file systems ignore the case of file names."""
 
 
 class ClipPlan:
-    """The clips of a call in the order in which they were found: on disk, since there may be millions."""
+    """The clips of a call in the order in which they were found, in a database on disk: there may be millions."""
 
     def __init__(self, paths: Sequence[Place], shard: Shard = WHOLE_SHARD) -> None:
-        """Find them; a clip that is named twice counts once."""
+        """Find the clips of ``paths`` in a shard; a clip that is named twice counts once."""
         self.failed: list[Outcome] = []
-        """Paths that are no clips, and clips that share their name with another, as their results would."""
+        """Paths without a clip, and clips with the same name: their results would share a folder."""
         self.remote = any(isinstance(path, RemotePath) for path in paths)
-        """True if some lie in an object store."""
-        self._db = sqlite3.connect("")  # a temporary file, and that only where it does not fit into the cache
+        """True if some clips lie in an object store."""
+        self._db = sqlite3.connect("")  # in memory, and in a temporary file once it exceeds SQLite's cache
         self._db.execute("CREATE TABLE found (place INTEGER PRIMARY KEY, name TEXT, file TEXT, folder BLOB)")
         for name, clip in _named_clips(paths, self.failed):
             if name not in shard:
                 continue
             if name in RESERVED_NAMES:
-                known = InputError(
-                    str(clip), "name", files.shorten_value(name), f"another name; {', '.join(RESERVED_NAMES)} are taken"
-                )
-                self.failed.append(_path_failure(name, clip, known))
+                self._fail(name, clip, f"another name; {', '.join(RESERVED_NAMES)} are taken")
                 continue
             row = (name, name.casefold() if FOLDS_CASE else name, os.fsencode(str(clip)))
             self._db.execute("INSERT INTO found (name, file, folder) VALUES (?, ?, ?)", row)
         self._db.execute("CREATE INDEX by_file ON found (file)")
-        self._sort_out_namesakes()
+        self._remove_namesakes()
 
-    def _sort_out_namesakes(self) -> None:
-        """Leave each clip once, and of clips that share a name none."""
+    def _fail(self, name: str, clip: Place, expected: str) -> None:
+        error = InputError(str(clip), "name", files.shorten_value(name), expected)
+        self.failed.append(_path_failure(name, clip, error))
+
+    def _remove_namesakes(self) -> None:
+        """Remove repetitions of a clip, and all clips that share a name."""
         shared = "SELECT file, min(name) FROM found GROUP BY file HAVING count(*) > 1"
         for file, name in self._db.execute(shared).fetchall():
             clips = dict[Place, tuple[int, Place]]()
             for n, folder in self._db.execute("SELECT place, folder FROM found WHERE file = ? ORDER BY place", (file,)):
                 clip = parse_place(os.fsdecode(folder))
-                clips.setdefault(_resolved(clip), (n, clip))
+                clips.setdefault(clip.resolve() if isinstance(clip, Path) else clip, (n, clip))
             (kept, first), *others = clips.values()
             self._db.execute("DELETE FROM found WHERE file = ? AND (? OR place != ?)", (file, bool(others), kept))
             alike = [clip for _, clip in others]
             for clip, other in zip([first, *alike], [*alike[:1], *[first] * len(alike)], strict=False):
-                expected = f"a name of its own: {other} has the same, and so would their results"
-                error = InputError(str(clip), "name", files.shorten_value(name), expected)
-                self.failed.append(_path_failure(name, clip, error))
+                self._fail(name, clip, f"a name of its own: {other} has the same, and so would their results")
 
     def __len__(self) -> int:
         (count,) = self._db.execute("SELECT count(*) FROM found").fetchone()
         return int(count)
 
     def __iter__(self) -> Iterator[tuple[str, Place]]:
-        """Yield the name and the folder of each."""
+        """Yield the name and the folder of each clip."""
         for name, folder in self._db.execute("SELECT name, folder FROM found ORDER BY place"):
             yield name, parse_place(os.fsdecode(folder))
 
@@ -106,26 +102,21 @@ class ClipPlan:
 
 
 def clips_by_name(paths: Sequence[Path]) -> tuple[dict[str, Path], list[Outcome]]:
-    """Return the folder of each clip by its name, and the outcome of those that have none.
+    """Return the folder of each clip by name, and the outcomes of paths without a clip and of clips that share a name.
 
-    A path is a clip, a folder of clips, or a pattern; of clips that share a name, each has failed.
+    A path is a clip, a folder of clips, or a pattern.
     """
     with ClipPlan(paths) as plan:
         return {name: clip for name, clip in plan if isinstance(clip, Path)}, plan.failed
 
 
 def _path_failure(name: str, clip: Place, error: Exception) -> Outcome:
-    """Make the outcome of a path that gives no clip to work on."""
     whole = clip.absolute() if isinstance(clip, Path) else clip
     return replace(failed_outcome(name, error), path=escape_unprintable(str(whole)))
 
 
-def _resolved(clip: Place) -> Place:
-    return clip.resolve() if isinstance(clip, Path) else clip
-
-
 def _named_clips(paths: Sequence[Place], failed: list[Outcome]) -> Iterator[tuple[str, Place]]:
-    """Yield the name and the folder of each clip; paths that are none go to ``failed``."""
+    """Yield the name and the folder of each clip; other paths are appended to ``failed``."""
     for path in paths:
         try:
             if isinstance(path, RemotePath):
@@ -141,7 +132,7 @@ def _named_clips(paths: Sequence[Place], failed: list[Outcome]) -> Iterator[tupl
 
 
 def clips_in(path: Path) -> Iterator[Path]:
-    """Yield the clip folders that a path stands for. Raises ``InputError`` where it holds none."""
+    """Yield the clip folders of a path: a clip, a folder of clips, or a pattern. Raises ``InputError`` for none."""
     if path.name == "clip.json" or (path / "clip.json").exists():
         yield path.parent if path.name == "clip.json" else path
         return
@@ -165,17 +156,15 @@ def clips_in(path: Path) -> Iterator[Path]:
 
 
 def _clips_in_store(path: RemotePath, failed: list[Outcome]) -> Iterator[tuple[str, RemotePath]]:
-    """Yield the clips that an address stands for: one, the folders in it, or those that match it.
+    """Yield the clips of an address: a clip, a folder of clips, or a pattern. No clip is read yet.
 
-    No clip is read yet.
-
-    A clip has its folder's or archive's name there, since reading all names takes long.
+    A clip gets the name of its folder or archive, since reading all names would take long.
     """
     try:
         found = _folders_in_store(path)
     except UsageError:
         raise
-    except GetagripError as error:  # the whole store is out of reach
+    except GetagripError as error:  # the store cannot be reached
         raise UsageError(f"CLIP: {error}") from error
     if not found:
         raise InputError(path.url, "", "no folder or archive in it", "a clip, a folder of clips, or a pattern")
@@ -184,28 +173,25 @@ def _clips_in_store(path: RemotePath, failed: list[Outcome]) -> Iterator[tuple[s
         if files.is_portable_name(name):
             yield name, clip
         else:
-            wrong = InputError(
-                clip.url, "", f"the name {files.shorten_value(clip.name)}", "a name that can name a folder"
-            )
-            failed.append(_path_failure("", clip, wrong))
+            got = f"the name {files.shorten_value(clip.name)}"
+            failed.append(_path_failure("", clip, InputError(clip.url, "", got, "a name that can name a folder")))
 
 
 def _folders_in_store(path: RemotePath) -> list[RemotePath]:
-    """List the folders and archives that may be clips."""
     if glob.has_magic(path.url):
         return path.matches()
     if path.name.endswith(ARCHIVE_SUFFIX):
         return [path]
     if path.name == "clip.json":
         return [path.parent]
-    there = path.children()
-    if ("clip.json", False) in there:
+    children = path.children()
+    if ("clip.json", False) in children:
         return [path]
-    return [path / name for name, is_folder in there if is_folder or name.endswith(ARCHIVE_SUFFIX)]
+    return [path / name for name, is_folder in children if is_folder or name.endswith(ARCHIVE_SUFFIX)]
 
 
 def _clips_in_folder(path: Path) -> Iterator[Path]:
-    """Yield the clip that a folder is, or those in it, sorted."""
+    """Yield the folder itself if it is a clip, else the clips in it, sorted."""
     if (path / "clip.json").exists():
         yield path
     elif path.is_dir():
@@ -213,12 +199,12 @@ def _clips_in_folder(path: Path) -> Iterator[Path]:
 
 
 def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batch: BatchOptions, debug: bool) -> int:
-    """Reconstruct clips into ``out/<clip name>/`` and print the outcome of each; 1 if any failed, else 0.
+    """Reconstruct clips into ``out/<clip name>/`` and print their outcomes. Returns 1 if a clip failed, else 0.
 
-    Several calls may share a folder, at the same time or one after another: its ledger says who does what. Of more
-    than one clip a summary is written, also after an interrupt. With ``strict`` also 1 where a check has found
-    something serious or a result is improbable. Raises ``UsageError`` where there is nothing to do, or no
-    result can be kept, ``GetagripError`` where the ledger cannot be written.
+    ``batch.strict`` also returns 1 for a serious finding or an improbable result. Calls may share a folder, at the
+    same time too: its ledger assigns the clips. A summary of several clips is written, also after an interrupt. Raises
+    ``UsageError`` without paths, or where ``--keep`` would drop every result; ``GetagripError`` where the ledger
+    cannot be written.
     """
     if not paths:
         raise UsageError("missing CLIP: name at least one clip")
@@ -241,10 +227,8 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
             except KeyboardInterrupt:
                 if many:
                     _summarise(ledger, out, batch.keep)
-                where = (
-                    f"{shlex.quote(str(out))}{f' --ledger {shlex.quote(str(share.ledger))}' if share.ledger else ''}"
-                )
-                print_note(f"progress: getagrip status {where}")
+                where = [str(out), *(["--ledger", str(share.ledger)] if share.ledger else [])]
+                print_note(f"progress: getagrip status {shlex.join(where)}")
                 raise
             if many:
                 _summarise(ledger, out, batch.keep)
@@ -264,19 +248,19 @@ def _summarise(ledger: Ledger, out: Place, keep: KeepOptions) -> None:
 
 
 class _Tally:
-    """The counts of a call's clips, by outcome."""
+    """Counts of a call's clips by outcome."""
 
     def __init__(self) -> None:
         self.counts = Counter[str]()
         self.flagged: list[str] = []
-        """Names of those with serious findings."""
+        """Names of clips with serious findings."""
         self.right: dict[str, float] = {}
         self.right_in_camera: dict[str, float] = {}
-        """The probability of each that it is right."""
+        """Probability that the result is right, by clip."""
         self.looks: dict[str, str] = {}
-        """How each with an assumed mesh probably looks."""
+        """Probable appearance of results with an assumed mesh, by clip."""
         self.verdicts: dict[str, str] = {}
-        """The verdict of ``--keep`` on each: kept or dropped."""
+        """Verdict of ``--keep``, by clip: kept or dropped."""
 
     def add(self, outcome: Outcome, keep: KeepOptions) -> None:
         if outcome.state != "failed":
@@ -294,7 +278,6 @@ class _Tally:
         return self.counts.total()
 
     def passes(self, min_probability: float) -> bool:
-        """Return whether no result has a serious finding, or a probability below the least one."""
         return not self.flagged and all(right >= min_probability for right in self.right.values())
 
     def print(self) -> None:
@@ -310,14 +293,14 @@ class _Tally:
 
 
 def _run_jobs(plan: ClipPlan, ledger: Ledger, out: Place, options: Options, batch: BatchOptions, debug: bool) -> _Tally:
-    """Do the clips, printing what becomes of each."""
+    """Reconstruct the clips and print their outcomes."""
     streamed = isinstance(out, RemotePath) or plan.remote
     make: Callable[..., Job | StreamedJob] = StreamedJob if streamed else Job
     work: Callable[..., Outcome] = reconstruct_streamed if streamed else reconstruct_one
     per_clip = {"options": options, "overwrite": batch.overwrite, "threads": batch.threads}
     jobs = (make(name, clip, out / name, **per_clip) for name, clip in plan)
     engine: Engine[Job | StreamedJob, Outcome] = Engine(
-        work=work, lost=_lost_clip_outcome, entry=partial(outcome_entry, method=options.method, seed=options.seed),
+        work=work, lost=lost_outcome, entry=partial(outcome_entry, method=options.method, seed=options.seed),
         options=asdict(options), prepare=preload_solver,
     )  # fmt: skip
     tally = _Tally()
@@ -331,19 +314,15 @@ def _run_jobs(plan: ClipPlan, ledger: Ledger, out: Place, options: Options, batc
     return tally
 
 
-def _lost_clip_outcome(job: Job | StreamedJob, why: str) -> Outcome:
-    return Outcome(job.name, "failed", why)
-
-
 def expected_right_message(right: Mapping[str, float], what: str = "right in the hand") -> str:
-    """Count the results that are probably right, and name those likely wrong, by the probability of each."""
+    """Describe the expected number of right results and the probably wrong ones, from probabilities by name."""
     wrong = sorted((name for name in right if right[name] < 0.5), key=lambda name: right[name])
     named = f"; likely wrong, worst first: {', '.join(wrong)}" if wrong else ""
     return f"about {sum(right.values()):.0f} of {len(right)} are {what}, by their probabilities{named}"
 
 
 def print_outcome(outcome: Outcome, debug: bool) -> None:
-    """Print one line about a clip, and one for each finding: failures on stderr, the rest on stdout."""
+    """Print one line for a clip and one for each finding: failures on stderr, the rest on stdout."""
     failed = outcome.state == "failed"
     parts = ["failed"] * failed + [outcome.name] * bool(outcome.name) + [outcome.message]
     print(escape_unprintable(": ".join(parts)), file=sys.stderr if failed else sys.stdout)

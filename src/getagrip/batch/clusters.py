@@ -1,15 +1,11 @@
-"""An executor on a Ray cluster: each job is a Ray task, done by a process of ours that the worker keeps for the next.
+"""Executors on clusters: Ray tasks, and Slurm's array jobs (by submitit).
 
-So limits of time and memory, and what becomes of a job whose process dies, are as on one machine. Jobs of a node that
-is lost are given to others.
+A Ray task does one job, a task of a Slurm array a bundle of jobs in turn; both in a ``Processes`` executor of one
+process, so limits and deaths of processes are handled as on one machine. Jobs of a lost node or task are submitted
+again. submitit pickles functions and results in a folder that all machines see and only the user may write.
 
-Words for a call that a library ends from within, as Ray does where its cluster dies: another process says them.
-
-An executor of Slurm's array jobs, by submitit: each task of an array does a bundle of jobs, one after the other.
-
-In it they are done as on one machine, by a process of its own with limits of time and memory. Bundles that are lost, by
-Slurm's time limit or with their node, are given out again. submitit keeps functions and results as pickles in a folder
-that all machines see: it is the user's own, nobody else may write there.
+Ray ends the driver's process where its cluster dies; ``report_on_death`` then prints the progress from another process.
+Run as a program, this module is that process.
 """
 
 from __future__ import annotations
@@ -32,18 +28,9 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Generic, TypeVar
 from uuid import uuid4
 
-from getagrip.batch.executor import (
-    MAX_LOST_MACHINES,
-    PROCESS_DIED,
-    FinishedJob,
-    Processes,
-    Submitted,
-    available_cores,
-    check_code,
-    run_on_executor,
-)
-from getagrip.batch.job import Limits
+from getagrip.batch.executor import FinishedJob, Processes, Submitted, available_cores, check_code, run_on_executor
 from getagrip.batch.ledger import open_existing_ledger
+from getagrip.batch.scheduling import Limits
 from getagrip.errors import GetagripError, UsageError
 from getagrip.io import plugins, processes
 from getagrip.io.terminal import print_note, state_folder
@@ -52,50 +39,19 @@ if TYPE_CHECKING:
     from submitit import Job
 
 
-@contextmanager
-def report_on_death(folder: Path, called: str) -> Iterator[None]:
-    """Have what is done and left of a ledger's tasks said if this process ends within the block.
-
-    ``folder`` is the ledger's, ``called`` what its tasks are, in the plural.
-    """
-    again = shlex.join(["getagrip", *sys.argv[1:]]) if processes.is_program() else "the same call"
-    words = processes.python_command("-m", "getagrip.batch.clusters", str(folder.absolute()), called, again)
-    watcher = subprocess.Popen(words, stdin=subprocess.PIPE, start_new_session=True)  # no Ctrl-C reaches it
-    try:
-        yield
-    finally:
-        watcher.communicate(b"ended")
-
-
-def main(folder: str, called: str, again: str) -> None:
-    """Wait for the end of the process that has started this one; say what it could not."""
-    if sys.stdin.buffer.read():
-        return
-    with open_existing_ledger(Path(folder)) as ledger:
-        states = Counter[str]() if ledger is None else Counter(entry.state for entry in ledger.entries())
-    done = (
-        f"{states['done']} of {states.total()} {called} are done, {states['failed']} failed, {states['open']} are left"
-    )
-    why = "Ray's cluster has died and ended this call, or it was killed"
-    print_note(f"getagrip: {why}: {done}; results are whole; on a cluster that runs, this goes on: {again}")
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])
-
 J = TypeVar("J")
 R = TypeVar("R")
 
 RAY_CONNECT_TIMEOUT_S = 5.0
-"""Seconds in which an address must answer."""
+"""Time limit for connecting to an address."""
 RAY_POLL_S = 2.0
-"""Seconds after which we ask again how large the cluster is."""
+"""Interval between queries of the cluster's size."""
 OBJECT_STORE_BYTES = 100 * 2**20
-"""Bytes of a local cluster's object store: clips and results do not pass through it."""
+"""Object store of a local cluster; clips and results do not pass through it."""
 
 
 class RayExecutor(Generic[J, R]):
-    """Workers of a running cluster, or of one on this machine that ends with the executor."""
+    """Executor on a running Ray cluster, or on one on this machine that ends with the executor."""
 
     def __init__(
         self,
@@ -105,9 +61,9 @@ class RayExecutor(Generic[J, R]):
         limits: Limits,
         prepare: Callable[[], object] | None,
     ) -> None:
-        """``workers`` None: as many as the cluster has CPUs, now and later.
+        """Connect to the cluster at ``address`` (None: ``RAY_ADDRESS``, else this machine).
 
-        ``address`` is Ray's; None: that of ``RAY_ADDRESS``, else this machine. Raises ``UsageError`` where Ray is not
+        ``workers`` None: the cluster's number of CPUs, also when it changes. Raises ``UsageError`` where Ray is not
         installed or does not answer.
         """
         self._ray = plugins.import_extra("ray", "ray", "--engine ray")
@@ -124,7 +80,7 @@ class RayExecutor(Generic[J, R]):
 
     @property
     def capacity(self) -> int:
-        """Number of jobs that can start now; at least one, which waits for a cluster that grows."""
+        """Number of jobs that can start now; a cluster without CPUs gets one, which waits until it has some."""
         if self._workers is None and time.monotonic() - self._looked >= RAY_POLL_S:
             self._cpus, self._looked = int(self._ray.cluster_resources().get("CPU", 0)), time.monotonic()
         return (self._workers or max(1, self._cpus)) - self.busy
@@ -139,10 +95,7 @@ class RayExecutor(Generic[J, R]):
         self._at_work[self._start(job)] = Submitted(job, attempt)
 
     def wait(self, nap: float | None) -> list[FinishedJob[J, R]]:
-        """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running.
-
-        Raises ``GetagripError`` where the cluster has died.
-        """
+        """Wait as ``Executor.wait``. Raises ``GetagripError`` where the cluster has died."""
         if not self._at_work:
             time.sleep(nap or 0.0)
             return []
@@ -150,12 +103,10 @@ class RayExecutor(Generic[J, R]):
         try:
             if not self._ray.wait(refs, num_returns=1, timeout=nap)[0]:
                 return []
-            ready, _ = self._ray.wait(refs, num_returns=len(refs), timeout=0)  # all that have ended meanwhile, at once
+            ready, _ = self._ray.wait(refs, num_returns=len(refs), timeout=0)  # all finished tasks at once
         except self._ray.exceptions.RayError as error:
-            why = " ".join(str(error).split())
-            raise GetagripError(
-                f"Ray's cluster has died ({why}); what is done is kept, and the same call goes on"
-            ) from error
+            why = f"Ray's cluster has died ({_one_line(error)})"
+            raise GetagripError(f"{why}; results so far are kept, and the same call continues") from error
         ends = [self._ended(ref, self._at_work.pop(ref)) for ref in ready]
         lost = sum(ended is None for ended in ends)
         if lost:
@@ -163,7 +114,7 @@ class RayExecutor(Generic[J, R]):
         return [ended for ended in ends if ended is not None]
 
     def close(self) -> None:
-        """Let all finish their jobs; a cluster that runs without us stays."""
+        """Let all jobs finish; stop a cluster that this executor has started."""
         refs = [*self._at_work]
         if refs:
             with suppress(self._ray.exceptions.RayError):  # of a cluster that has died
@@ -172,14 +123,14 @@ class RayExecutor(Generic[J, R]):
             self._ray.shutdown()
 
     def _ended(self, ref: object, submitted: Submitted[J]) -> FinishedJob[J, R] | None:
-        """Return the end of a job; None where its worker was lost and the job has been sent again."""
+        """Return the end of a job; None where its worker was lost and the job was submitted again."""
         try:
             ended = self._ray.get(ref)
-        except self._ray.exceptions.OutOfMemoryError:  # Ray has ended the worker, to save its node
-            return FinishedJob(submitted.job, None, PROCESS_DIED, attempts=submitted.attempt)
+        except self._ray.exceptions.OutOfMemoryError:  # Ray has killed the worker to save its node
+            return submitted.died()
         except self._ray.exceptions.RayError:
-            if submitted.tries == MAX_LOST_MACHINES:
-                return FinishedJob(submitted.job, None, PROCESS_DIED, attempts=submitted.attempt)
+            if submitted.is_last_try:
+                return submitted.died()
             self._at_work[self._start(submitted.job)] = replace(submitted, tries=submitted.tries + 1)
             return None
         if isinstance(ended, Exception):
@@ -189,37 +140,31 @@ class RayExecutor(Generic[J, R]):
 
 def _connect_ray(ray: ModuleType, workers: int | None, address: str | None) -> None:
     """Connect to a cluster, or start one on this machine. Raises ``UsageError``."""
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no report to Ray's makers
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     quiet = {"log_to_driver": False, "logging_level": "error"}
     if address in (None, "local"):
-        ray.init(
-            "local",
-            num_cpus=workers or available_cores(),
-            include_dashboard=False,
-            object_store_memory=OBJECT_STORE_BYTES,
-            **quiet,
-        )
+        local = {"num_cpus": workers or available_cores(), "include_dashboard": False}
+        ray.init("local", object_store_memory=OBJECT_STORE_BYTES, **local, **quiet)
         return
     try:
         check_ray_address(address)
         ray.init(address, **quiet)
     except (OSError, RuntimeError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        expected = "the address of a Ray cluster that runs, HOST:PORT or auto; RAY_AUTH_MODE=token if it wants a token"
-        raise UsageError(f"--address must be {expected} (got {address}: {reason})") from error
+        expected = "the address of a running Ray cluster, HOST:PORT or auto; RAY_AUTH_MODE=token if it needs a token"
+        raise UsageError(f"--address must be {expected} (got {address}: {_one_line(error)})") from error
 
 
 def check_ray_address(address: str) -> None:
-    """Raise ``OSError`` where nobody listens at an address: Ray itself would try for a minute, then end the process.
+    """Raise ``OSError`` where an address does not answer: Ray would try for a minute, then end the process.
 
-    ``ValueError`` where it is none.
+    Raises ``ValueError`` for an invalid address.
     """
     if "://" in address:
         raise ValueError("Ray's client is not supported; call on a machine of the cluster, as `ray job submit` does")
     host, colon, port = address.rpartition(":")
     if colon:
         if not port.isdecimal():
-            raise ValueError(f"{port!r} is no port")
+            raise ValueError(f"invalid port {port!r}")
         socket.create_connection((host, int(port)), RAY_CONNECT_TIMEOUT_S).close()
 
 
@@ -240,19 +185,19 @@ def _run_ray_task(
         return error
 
 
-@lru_cache(maxsize=1)  # what comes later is of another call: the process of the one before ends when it is forgotten
+@lru_cache(maxsize=1)  # the process of an earlier call ends when its executor leaves the cache
 def _worker_executor(
     work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None, folder: str
 ) -> Processes[J, R]:
-    """Return this Ray worker's one process, which works in the driver's ``folder``; it is kept for the next job."""
+    """Return the executor of this Ray worker, one process in the driver's ``folder``; it is kept for the next job."""
     return Processes(1, work, limits, prepare)
 
 
 @contextmanager
 def _in_driver_folder(folder: str) -> Iterator[None]:
-    """Start processes in the driver's folder, if there is one here: paths may be relative.
+    """Start processes in the driver's folder, if this machine has it: paths may be relative.
 
-    Nor do they load the main file of a Ray worker, and with it Ray.
+    The processes do not load the Ray worker's main file, which would load Ray.
     """
     main = sys.modules["__main__"]
     file = main.__dict__.pop("__file__", None)
@@ -265,24 +210,24 @@ def _in_driver_folder(folder: str) -> Iterator[None]:
 
 
 MAX_SLURM_TASKS = 64
-"""Most tasks of all arrays at once, if the user does not say."""
+"""Default maximum number of simultaneous tasks of all arrays."""
 JOBS_PER_SLURM_TASK = 100
-"""Jobs of a task, at most: a task takes minutes, and Slurm some seconds for it."""
+"""Maximum number of jobs of a task: it should take minutes, since Slurm needs seconds to start one."""
 SLURM_TASK_HOURS = 4.0
-"""Time limit of a task where jobs have none."""
+"""Time limit of a task if jobs have none."""
 SLURM_JOB_GB = 3.0
-"""GB for a job where it has no limit; a task gets one more."""
+"""Memory for a job without a limit; a task gets 1 GB more."""
 SLURM_POLL_S = 1.0
-"""Seconds between looks at what has ended."""
+"""Interval between queries for finished tasks."""
 
 
 class SlurmExecutor(Generic[J, R]):
-    """Tasks of array jobs, ``workers`` at once; new ones are submitted when half of them have ended."""
+    """Executor of Slurm array tasks, ``workers`` at once; a new array is submitted when half of them have ended."""
 
     def __init__(
         self, workers: int | None, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None
     ) -> None:
-        """``workers``: tasks at once. Raises ``UsageError`` where submitit or Slurm is not there."""
+        """Run up to ``workers`` tasks at once. Raises ``UsageError`` where submitit or Slurm is not installed."""
         submitit = plugins.import_extra("submitit", "slurm", "--engine slurm")
         if shutil.which("sbatch") is None:
             raise UsageError("missing command sbatch: --engine slurm needs a machine that can submit to Slurm")
@@ -305,7 +250,7 @@ class SlurmExecutor(Generic[J, R]):
 
     @property
     def capacity(self) -> int:
-        """Number of jobs that can start now; 0 while more than half of the tasks work, so that arrays are large."""
+        """Number of jobs that can start now; 0 while more than half of the tasks run, so that arrays are large."""
         if len(self._at_work) > self._workers // 2:
             return 0
         return (self._workers - len(self._at_work)) * JOBS_PER_SLURM_TASK - len(self._collected)
@@ -316,11 +261,11 @@ class SlurmExecutor(Generic[J, R]):
         return len(self._collected) + sum(map(len, self._at_work.values()))
 
     def submit(self, job: J, attempt: int) -> None:
-        """Put a job into the next array."""
+        """Add a job to the next array."""
         self._collected.append(Submitted(job, attempt))
 
     def wait(self, nap: float | None) -> list[FinishedJob[J, R]]:
-        """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running."""
+        """Wait as ``Executor.wait``, after submitting the collected jobs."""
         self._submit()
         if not self._at_work:
             time.sleep(nap or 0.0)
@@ -333,7 +278,7 @@ class SlurmExecutor(Generic[J, R]):
         return [ended for task in done for ended in self._ended(task, self._at_work.pop(task))]
 
     def close(self) -> None:
-        """Cancel what waits in Slurm's queue, and let the rest finish."""
+        """Cancel pending tasks, and let running tasks finish."""
         for task in self._at_work:
             if task.state == "PENDING":
                 task.cancel()
@@ -345,7 +290,7 @@ class SlurmExecutor(Generic[J, R]):
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def _submit(self) -> None:
-        """Submit what is collected as one array, in equal bundles."""
+        """Submit the collected jobs as one array of equal bundles."""
         jobs, self._collected = self._collected, []
         if not jobs:
             return
@@ -357,9 +302,7 @@ class SlurmExecutor(Generic[J, R]):
         try:
             tasks = self._executor.map_array(_run_slurm_bundle, [self._how] * len(bundles), handed_out)
         except (*self._errors, OSError, RuntimeError) as error:
-            raise GetagripError(
-                f"--engine slurm: sbatch has refused the jobs ({' '.join(str(error).split())})"
-            ) from error
+            raise GetagripError(f"--engine slurm: sbatch has refused the jobs ({_one_line(error)})") from error
         self._at_work |= dict(zip(tasks, bundles, strict=True))
 
     def _ended(self, task: Job, bundle: list[Submitted[J]]) -> list[FinishedJob[J, R]]:
@@ -368,16 +311,8 @@ class SlurmExecutor(Generic[J, R]):
         except self._errors:
             self._lost += 1
             print_note(f"Slurm has lost a task ({task.job_id}); its jobs are submitted again ({len(bundle)})")
-            self._collected += [
-                replace(submitted, tries=submitted.tries + 1)
-                for submitted in bundle
-                if submitted.tries < MAX_LOST_MACHINES
-            ]
-            return [
-                FinishedJob(submitted.job, None, PROCESS_DIED, attempts=submitted.attempt)
-                for submitted in bundle
-                if submitted.tries == MAX_LOST_MACHINES
-            ]
+            self._collected += [replace(sent, tries=sent.tries + 1) for sent in bundle if not sent.is_last_try]
+            return [sent.died() for sent in bundle if sent.is_last_try]
         if isinstance(ends, Exception):
             raise ends
         return [replace(ended, attempts=max(ended.attempts, bundle[0].attempt)) for ended in ends]
@@ -386,10 +321,44 @@ class SlurmExecutor(Generic[J, R]):
 def _run_slurm_bundle(
     how: tuple[Callable[[J], R], Limits, Callable[[], object] | None, str], jobs: list[J]
 ) -> list[FinishedJob[J, R]] | Exception:
-    """Do the jobs of an array's task; an exception is returned, for the driver to raise."""
+    """Do the jobs of a Slurm task; an exception is returned, for the driver to raise."""
     work, limits, prepare, expected = how
     try:
         check_code(expected)
         return list(run_on_executor(Processes(1, work, limits, prepare), jobs, limits))
     except Exception as error:
         return error
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+@contextmanager
+def report_on_death(folder: Path, called: str) -> Iterator[None]:
+    """Start a process that prints the progress of the ledger in ``folder`` if this process dies within the block.
+
+    ``called`` is the plural name of its tasks.
+    """
+    again = shlex.join(["getagrip", *sys.argv[1:]]) if processes.is_program() else "the same call"
+    words = processes.python_command("-m", "getagrip.batch.clusters", str(folder.absolute()), called, again)
+    watcher = subprocess.Popen(words, stdin=subprocess.PIPE, start_new_session=True)  # receives no Ctrl-C
+    try:
+        yield
+    finally:
+        watcher.communicate(b"ended")
+
+
+def main(folder: str, called: str, again: str) -> None:
+    """Wait for the parent's end; print the progress of the ledger in ``folder`` if the parent died."""
+    if sys.stdin.buffer.read():
+        return
+    with open_existing_ledger(Path(folder)) as ledger:
+        states = Counter[str]() if ledger is None else Counter(entry.state for entry in ledger.entries())
+    done = f"{states['done']} of {states.total()} {called} are done, {states['failed']} failed"
+    why = f"Ray's cluster has died and ended this call, or it was killed: {done}, {states['open']} are left"
+    print_note(f"getagrip: {why}; results are whole; on a running cluster, this continues: {again}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

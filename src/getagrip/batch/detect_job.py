@@ -1,6 +1,6 @@
-"""The segments of one uncut clip, found and written as clips, unless what is there is good.
+"""Detect the segments of one uncut clip and write them as clips; valid earlier ones are kept.
 
-A record of what the clips were made from is written last, beside them: both together show what is done.
+A record of the clips and their inputs is written last, beside the clips: without it, they count as unfinished.
 """
 
 from __future__ import annotations
@@ -18,50 +18,49 @@ from getagrip.fitting.options import Options
 from getagrip.io import files, plugins
 
 DETECTION_INPUT_LABELS = {key: RESULT_INPUT_LABELS[key] for key in ("input_sha256", "options", "code")}
-"""In what an earlier record may differ, by its key."""
+"""Names of a record's inputs in messages, by key."""
 
 
 @dataclass(frozen=True)
 class DetectionJob:
-    """A clip to find segments in."""
+    """A clip whose segments are to be detected."""
 
     name: str
     clip: Path
     to: Path
-    """The folder that gets the clips."""
+    """Folder for the new clips."""
     options: Options
     alone: bool
-    """True if each grasp becomes a clip of its own; else the whole becomes a timeline."""
+    """True: each grasp becomes a clip; False: the clip becomes a timeline."""
 
     @property
     def record(self) -> Path:
-        """File that lists the clips and what they were made from."""
+        """File that lists the new clips and their inputs."""
         return self.to / f"{self.name}.{'grasps' if self.alone else 'timeline'}.json"
 
     def made_from(self, checksum: str) -> dict[str, object]:
-        """Return everything that the found segments depend on; ``checksum`` is that of the clip."""
+        """Return everything that the segments depend on; ``checksum`` is the clip's."""
         from getagrip.timelines.detect.grasp_evidence import HINGE_FIT_METHOD
 
-        options = asdict(
-            replace(self.options, method=HINGE_FIT_METHOD, every_frame=True)
-        )  # of both, the user's does not matter
+        # detection sets these two itself, whatever the user chose
+        options = asdict(replace(self.options, method=HINGE_FIT_METHOD, every_frame=True))
         return {"input_sha256": checksum, "options": options, "code": plugins.fingerprint("timelines/detect")}
 
 
 @dataclass(frozen=True)
 class DetectedClip:
-    """The segments found in a clip, as clips."""
+    """The segments of a clip, written as clips."""
 
     clip: str
     state: Literal["done", "kept"]
     folders: tuple[Path, ...]
     spans: tuple[str, ...]
-    """First and last frame of each stable grasp, in words."""
+    """Names of the first and last frame of each stable grasp, for messages."""
     notes: tuple[str, ...]
     inputs: str
     """Checksum of the clip."""
     why: str = ""
-    """Why it was found again."""
+    """Reason why an earlier detection was invalid."""
 
     def __str__(self) -> str:
         found = f"stable grasps in {', '.join(self.spans)}" if self.spans else "no stable grasp"
@@ -70,18 +69,13 @@ class DetectedClip:
 
 
 def detect_clip_segments(job: DetectionJob, progress: Progress = lambda *_: None) -> DetectedClip | Outcome:
-    """Find the segments of one clip and write them; or how it failed. Raises nothing."""
+    """Detect the segments of one clip and write them; errors become a failed ``Outcome``. Raises nothing."""
     try:
         checksum = input_sha256(job.clip)
-        there, why = _existing_detection(job, checksum)
-        return _detect_and_write(job, checksum, why, progress) if there is None else there
-    except Exception as error:  # one clip's trouble must not end the others
+        existing, why = _existing_detection(job, checksum)
+        return _detect_and_write(job, checksum, why, progress) if existing is None else existing
+    except Exception as error:  # an error in one clip must not end the others
         return failed_outcome(job.name, error)
-
-
-def failure_of(job: DetectionJob, why: str) -> DetectedClip | Outcome:
-    """Make the outcome of a clip whose process died."""
-    return Outcome(job.name, "failed", why)
 
 
 def detection_entry(found: DetectedClip | Outcome) -> LedgerEntry:
@@ -93,7 +87,7 @@ def detection_entry(found: DetectedClip | Outcome) -> LedgerEntry:
 
 
 def _detect_and_write(job: DetectionJob, checksum: str, why: str, progress: Progress) -> DetectedClip:
-    """Find and write. Raises ``InputError`` where the clip is bad, or changes meanwhile."""
+    """Raise ``InputError`` where the clip is invalid or changes meanwhile."""
     from getagrip.timelines.detect.detect_segments import find_segments
     from getagrip.timelines.detect.write_segments import write_grasps, write_timeline
 
@@ -111,22 +105,22 @@ def _detect_and_write(job: DetectionJob, checksum: str, why: str, progress: Prog
 
 
 def _existing_detection(job: DetectionJob, checksum: str) -> tuple[DetectedClip | None, str]:
-    """Return the segments that were found before, if they are valid, else None and the reason.
+    """Return an earlier detection if it is valid, else None and the reason (empty without an earlier one).
 
-    Good is what was made from the same clip, with the same options, by the same code, and has not changed since.
+    Valid means the same clip, options and code, and unchanged files.
     """
     if not job.record.exists():
         return None, ""
     try:
-        there = files.read_json(job.record)
-        if why := describe_difference(there, job.made_from(checksum), DETECTION_INPUT_LABELS):
+        record = files.read_json(job.record)
+        if why := describe_difference(record, job.made_from(checksum), DETECTION_INPUT_LABELS):
             return None, why
-        clips, spans, notes = (there.get(key) for key in ("clips", "spans", "notes"))
+        clips, spans, notes = (record.get(key) for key in ("clips", "spans", "notes"))
         if not (isinstance(clips, dict) and isinstance(spans, list) and isinstance(notes, list)):
             return None, damaged_reason(job.record)
         folders = tuple(job.to / name for name in clips if files.is_portable_name(name))
         if {folder.name: input_sha256(folder) for folder in folders} != clips:
-            return None, "what was there has been changed"
+            return None, "the earlier result has been changed"
     except InputError as error:
         return None, damaged_reason(error)
     return DetectedClip(job.name, "kept", folders, tuple(map(str, spans)), tuple(map(str, notes)), checksum), ""

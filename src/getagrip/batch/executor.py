@@ -1,6 +1,6 @@
-"""The executor's interface: processes on this machine or those of a cluster; and jobs on one, or in this process.
+"""Run jobs in this process, in processes of this machine, or on any other ``Executor``.
 
-Processes on this machine that do jobs, one thread in each; one that dies, hangs or grows takes no other along.
+Each process uses one thread; a process that dies, hangs or exceeds its memory limit affects only its own job.
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
-from getagrip.batch.job import NO_LIMITS, Limits
-from getagrip.batch.scheduling import MAX_IN_PROCESS_TASKS
+from getagrip.batch.scheduling import MAX_IN_PROCESS_TASKS, NO_LIMITS, Limits
 from getagrip.errors import GetagripError
 from getagrip.io import plugins, processes
 
@@ -27,14 +26,16 @@ J = TypeVar("J")
 R = TypeVar("R")
 
 PROCESS_DIED = "its process died"
+PROCESS_DIED_TWICE = f"its process died twice; {NO_LIMITS.suspicion}"
 MAX_LOST_MACHINES = 4
-"""Machines that a cluster may lose under a job before it counts as one whose process dies."""
-PROCESS_DIED_TWICE = "its process died twice; out of memory?"
-"""The message for a job whose process died, in ``for_each_job``."""
+"""Number of submissions of a job to lost machines after which its process counts as dead."""
 MAX_JOB_ATTEMPTS = 2
 """Number of attempts of a job whose process dies."""
 IDLE_POLL_S = 0.5
-"""Seconds after which we ask again for jobs, where there were none for the moment."""
+"""Interval between requests for jobs while every job left is claimed by another driver."""
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+MAX_JOBS_PER_PROCESS = 500
+"""Number of jobs after which a process is replaced, which frees memory that libraries retain."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +44,9 @@ class FinishedJob(Generic[J, R]):
 
     job: J
     result: R | None
-    """Return value of the work; None where its process died or was ended."""
+    """Return value of the work; None where the process died or was killed."""
     why: str = ""
-    """Why there is none."""
+    """Reason for a missing result."""
     seconds: float = 0.0
     """Wall time of the last attempt."""
     attempts: int = 1
@@ -56,16 +57,25 @@ class FinishedJob(Generic[J, R]):
 
 @dataclass(frozen=True)
 class Submitted(Generic[J]):
-    """A job that a cluster is to do, or has at work."""
+    """A job that is queued or running on a cluster."""
 
     job: J
     attempt: int
     tries: int = 1
-    """Number of times that it was sent: a lost worker or task is no attempt."""
+    """Number of submissions: after a lost worker or task, the attempt counts on unchanged."""
+
+    @property
+    def is_last_try(self) -> bool:
+        """True where no further loss of a machine is tolerated."""
+        return self.tries == MAX_LOST_MACHINES
+
+    def died(self) -> FinishedJob[J, Any]:
+        """Return the end of a job whose process or machines were lost."""
+        return FinishedJob(self.job, None, PROCESS_DIED, attempts=self.attempt)
 
 
 class Executor(Protocol[J, R]):
-    """Does jobs, several at once. What the work raises, ``wait`` raises."""
+    """Runs jobs, several at once. ``wait`` raises the errors of the work."""
 
     @property
     def capacity(self) -> int:
@@ -74,7 +84,7 @@ class Executor(Protocol[J, R]):
 
     @property
     def busy(self) -> int:
-        """Number of jobs at work."""
+        """Number of running jobs."""
         ...
 
     def submit(self, job: J, attempt: int) -> None:
@@ -82,32 +92,32 @@ class Executor(Protocol[J, R]):
         ...
 
     def wait(self, nap: float | None) -> list[FinishedJob[J, R]]:
-        """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running.
+        """Wait for the next jobs to end, for at most ``nap`` seconds (None: any time); no wait without running jobs.
 
-        ``PROCESS_DIED`` is why a job has ended whose process was lost, maybe by the job's own fault.
+        A job whose process was lost has the reason ``PROCESS_DIED``.
         """
         ...
 
     def close(self) -> None:
-        """Let all finish their jobs and go."""
+        """Let all jobs finish, and free the machines."""
         ...
 
 
+Start = Callable[[Callable[[J], R], Limits, Callable[[], object] | None], Executor[J, R]]
+"""Makes an executor from the work, the limits of a job, and a function that each process calls first."""
+
+
 def check_code(expected: str) -> None:
-    """Raise ``GetagripError`` where this machine has another getagrip than the one that gave out the jobs."""
+    """Raise ``GetagripError`` where the fingerprint of this machine's package differs from the driver's."""
     if plugins.fingerprint_with_plugins() != expected:
         here = f"{plugins.PACKAGE} on {socket.gethostname()}"
         got = f"getagrip of other code ({plugins.fingerprint_with_plugins()})"
         raise GetagripError(f"{here} must be the same on every machine, {expected} (got {got})")
 
 
-Start = Callable[[Callable[[J], R], Limits, Callable[[], object] | None], Executor[J, R]]
-"""Makes an executor from the work, the limits of a job and the function that each process calls first."""
-
-
 def available_cores() -> int:
     """Return the number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):  # Linux: what a cluster's scheduler leaves us
+    if hasattr(os, "sched_getaffinity"):  # Linux: the cores that a cluster's scheduler allows
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
@@ -120,10 +130,10 @@ def for_each_job(
     workers: int | None = None,
     here: Callable[[J], R] | None = None,
 ) -> list[R]:
-    """Return what ``work`` makes of each job, in their order; many are shared out over processes, one for each core.
+    """Return the value of ``work`` for each job, in their order; many jobs run in processes, by default one per core.
 
-    ``died`` says what becomes of a job whose process died twice. ``ended`` is called with what comes of each, as they
-    finish. ``here`` is the work as it is done in this process, where that differs.
+    ``died`` makes the value for a job whose process died twice. ``ended`` is called with each value as jobs finish.
+    ``here`` replaces ``work`` in this process.
     """
     workers = min(len(jobs), workers or (1 if len(jobs) <= MAX_IN_PROCESS_TASKS else available_cores()))
     ends = run_in_processes(work, jobs, workers) if workers > 1 else ((job, (here or work)(job)) for job in jobs)
@@ -136,13 +146,12 @@ def for_each_job(
 
 def run_in_processes(work: Callable[[J], R], jobs: Iterable[J], workers: int) -> Iterator[tuple[J, R | None]]:
     """Yield each job with the value of ``work``, as they finish; None where the process died twice."""
-
     for ended in run_on_executor(Processes(workers, work, NO_LIMITS, None), jobs):
         yield ended.job, ended.result
 
 
 def run_in_sequence(work: Callable[[J], R], jobs: Iterable[J | None]) -> Generator[FinishedJob[J, R], None, None]:
-    """Yield each job with the value of ``work``, done in this process. None among the jobs: none for the moment."""
+    """Run the jobs in this process, in turn. None among the jobs means to ask again after ``IDLE_POLL_S``."""
     for job in jobs:
         if job is None:
             time.sleep(IDLE_POLL_S)
@@ -154,11 +163,11 @@ def run_in_sequence(work: Callable[[J], R], jobs: Iterable[J | None]) -> Generat
 def run_on_executor(
     executor: Executor[J, R], jobs: Iterable[J | None], limits: Limits = NO_LIMITS
 ) -> Generator[FinishedJob[J, R], None, None]:
-    """Yield each job as it ends, done by an executor within limits; the executor is closed in the end.
+    """Run the jobs on an executor, yield each as it ends, and close the executor.
 
-    A job is taken from ``jobs`` when there is room for it, not before; None among them: none for the moment. A job
-    whose process dies is tried once more when all others have ended, alone: nothing else takes its memory then. An
-    interrupt lets the jobs at work finish. What the work raises is raised.
+    A job is taken from ``jobs`` only when the executor has capacity; None means to ask again after ``IDLE_POLL_S``. A
+    job whose process died runs again after all others, alone, with all memory free. An interrupt lets running jobs
+    finish. Raises the errors of the work.
     """
     source, again = iter(jobs), deque[J]()
     more = True
@@ -188,21 +197,16 @@ def run_on_executor(
         executor.close()
 
 
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-MAX_JOBS_PER_PROCESS = 500
-"""Number of jobs after which a process is replaced, which frees whatever libraries hold on to."""
-
-
 class Processes(Generic[J, R]):
-    """An executor of processes on this machine: each starts when there is a job for it."""
+    """An executor of processes on this machine; each starts when a job needs it."""
 
     def __init__(
         self, workers: int, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None
     ) -> None:
-        """Run at most ``workers`` processes. Each calls ``prepare`` first; that counts for no limit."""
+        """Run at most ``workers`` processes. Each calls ``prepare`` first, outside the limits."""
         self.workers = workers
         self._start: Callable[[], _WorkerProcess[J, R]] = lambda: _WorkerProcess(work, limits, prepare)
-        self._there: list[_WorkerProcess[J, R]] = []
+        self._processes: list[_WorkerProcess[J, R]] = []
 
     @property
     def capacity(self) -> int:
@@ -211,38 +215,38 @@ class Processes(Generic[J, R]):
 
     @property
     def busy(self) -> int:
-        """Number of jobs at work."""
+        """Number of running jobs."""
         return len(self._at_work())
 
     def submit(self, job: J, attempt: int) -> None:
         """Give a job to an idle process, or to a new one."""
-        idle = next((process for process in self._there if not process.busy), None)
+        idle = next((process for process in self._processes if not process.busy), None)
         if idle is None:
             idle = self._start()
-            self._there.append(idle)
+            self._processes.append(idle)
         idle.submit(job, attempt)
 
     def wait(self, nap: float | None) -> list[FinishedJob[J, R]]:
-        """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running."""
+        """Wait as ``Executor.wait``, but for the whole ``nap`` where no job is running."""
         busy = self._at_work()
         until = [left for process in busy if (left := process.time_left()) is not None]
         if busy or nap:
             wait([process.pipe for process in busy], min([*until, *([nap] if nap else [])], default=None))
         ends = [process.ended() for process in busy]
-        self._there = [process for process in self._there if not process.gone]
+        self._processes = [process for process in self._processes if not process.gone]
         return [ended for ended in ends if ended is not None]
 
     def close(self) -> None:
-        """Let all finish their jobs and end."""
-        for process in self._there:
+        """Let all processes finish their jobs and end."""
+        for process in self._processes:
             process.close()
 
     def _at_work(self) -> list[_WorkerProcess[J, R]]:
-        return [process for process in self._there if process.busy]
+        return [process for process in self._processes if process.busy]
 
 
 class _WorkerProcess(Generic[J, R]):
-    """A process that does one job after the other."""
+    """A process that runs one job after the other."""
 
     def __init__(self, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None) -> None:
         spawn = get_context("spawn")  # forked threads and locks of numerical libraries hang
@@ -257,19 +261,19 @@ class _WorkerProcess(Generic[J, R]):
         self.attempt, self.since = 0, 0.0
 
     def submit(self, job: J, attempt: int) -> None:
-        """Have it do a job."""
+        """Send a job to the process."""
         self.job, self.attempt, self.since, self.busy = job, attempt, time.monotonic(), True
-        with suppress(OSError):  # it has died; ``ended`` will notice
+        with suppress(OSError):  # the process has died; ``ended`` will notice
             self.pipe.send(job)
 
     def time_left(self) -> float | None:
-        """Return the seconds until its job has taken too long; None: any."""
+        """Return the seconds until the job's time limit; None without a limit."""
         if self.limits.seconds is None or not self.ready:
             return None
         return max(0.0, self.since + self.limits.seconds - time.monotonic())
 
     def ended(self) -> FinishedJob[J, R] | None:
-        """Return the end of its job; None while it is at work. ``gone`` where the process is not there any more."""
+        """Return the end of the job; None while it runs. Sets ``gone`` where the process has ended."""
         try:
             while self.pipe.poll():
                 answer = self.pipe.recv()
@@ -278,33 +282,28 @@ class _WorkerProcess(Generic[J, R]):
                     continue
                 return self._answered(*answer)
         except (EOFError, OSError):
-            self._end()
-            return self._lost(PROCESS_DIED)
-        if self.time_left() == 0.0:
-            self._end()
-            return self._lost(self.limits.too_long)
-        return None
+            return self._killed(PROCESS_DIED)
+        return self._killed(self.limits.too_long) if self.time_left() == 0.0 else None
 
     def _answered(self, result: R | None, error: Exception | None) -> FinishedJob[J, R]:
-        """Return the job's end, as the process has reported it."""
         self.busy, self.done = False, self.done + 1
         if error is not None:
             raise error
         if self.done == MAX_JOBS_PER_PROCESS:
             self.close()
-        took = time.monotonic() - self.since
-        return FinishedJob(self.job, result, "", took, self.attempt, self.pid)
+        return self._finished(result, "")
 
-    def _lost(self, why: str) -> FinishedJob[J, R]:
-        self.busy = False
-        return FinishedJob(self.job, None, why, time.monotonic() - self.since, self.attempt, self.pid)
-
-    def _end(self) -> None:
+    def _killed(self, why: str) -> FinishedJob[J, R]:
         self.process.kill()
         self.close()
+        self.busy = False
+        return self._finished(None, why)
+
+    def _finished(self, result: R | None, why: str) -> FinishedJob[J, R]:
+        return FinishedJob(self.job, result, why, time.monotonic() - self.since, self.attempt, self.pid)
 
     def close(self) -> None:
-        """Let it finish its job and end."""
+        """Let the process finish its job and end."""
         self.pipe.close()
         self.process.join()
         self.process.close()
@@ -312,8 +311,8 @@ class _WorkerProcess(Generic[J, R]):
 
 
 def _serve_jobs(pipe: Connection, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None) -> None:
-    """Do the jobs that come through the pipe, in the process, until it closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # also where signals cannot be blocked
+    """Run the jobs that come through the pipe until it closes; called in the new process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # for systems that cannot block signals
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if prepare is not None:
         prepare()
@@ -327,12 +326,12 @@ def _serve_jobs(pipe: Connection, work: Callable[[J], R], limits: Limits, prepar
             except Exception as error:
                 answer = None, error
             pipe.send(answer)
-    except (EOFError, ConnectionError):  # the parent has closed it
+    except (EOFError, ConnectionError):  # the parent has closed the pipe
         return
 
 
 def _end_with_parent() -> None:
-    """End this process at once when its parent is killed; a parent that closes the pipe ends it between jobs only."""
+    """End this process at once when its parent is killed; a closed pipe would end it only between jobs."""
     parent = parent_process()
     if parent is not None:
         parent.join()
@@ -341,9 +340,9 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _single_thread_environment() -> Iterator[None]:
-    """Have processes that start meanwhile run numba and BLAS on one thread, and load nothing of the current folder.
+    """Limit processes started within to one thread of numba and BLAS, and to modules outside the current folder.
 
-    They never hear a Ctrl-C, from their first instruction on: it is left to the parent, which hands out no more jobs.
+    They ignore Ctrl-C from their first instruction: the parent handles it, and starts no more jobs.
     """
     changed = dict.fromkeys(THREAD_VARIABLES, "1") | processes.SAFE_PATH_ENVIRONMENT
     before = {name: os.environ.get(name) for name in changed}
@@ -361,13 +360,13 @@ def _single_thread_environment() -> Iterator[None]:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Block the signal of a Ctrl-C in this thread: processes inherit that, and this one hears of it afterwards."""
+    """Block SIGINT in this thread: child processes inherit the mask, and this one gets the signal afterwards."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
     from multiprocessing import resource_tracker
 
-    resource_tracker.ensure_running()  # a process of Python's own, whose start would unblock it
+    resource_tracker.ensure_running()  # its start would unblock the signal
     masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -1,4 +1,4 @@
-"""Validity of existing results and of a benchmark's records: of the same clip, options and code, and readable."""
+"""Decide whether an earlier result or benchmark record is valid: readable, and of the same clip, options and code."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from getagrip.io.source_checksum import UnknownSourceError, source_checksum
 from getagrip.result import Reconstruction, is_result, read_result, software_versions
 
 METHOD_CODE_KEY = "method_code"
-"""Key in a record's ``software_versions``: the checksum of a method from outside."""
+"""Key in a record's software: the checksum of the source of a method that is not built in."""
 UNKNOWN_CHECKSUM = "unknown"
-"""The checksum of a method whose source cannot be found: its results are never kept."""
+"""Checksum of a method without source files: its results are never kept."""
 RESULT_INPUT_LABELS = {
     "input_sha256": "another clip",
     "method": "another method",
@@ -30,39 +30,40 @@ RESULT_INPUT_LABELS = {
     METHOD_CODE_KEY: "another source of its method",
     "plugins": "other plug-ins",
 }
-"""In what a record may differ, by its key."""
-_METHOD_CHECKSUMS: dict[str, tuple[Method, str]] = {}
-"""Checksums of methods from outside, as their files were when first asked for: later changes do not run here."""
+"""Names for differing entries of a result's record, by key."""
 RECORD_INPUT_LABELS = {
-    "inputs": "another clip",
-    "options": "other options",
-    "software": "other code or other libraries",
-}
-"""Keys of a record's inputs, and the words for one that differs."""
+    "inputs": "another clip", "options": "other options", "software": "other code or other libraries",
+}  # fmt: skip
+"""Names for differing entries of a benchmark's record, by key."""
+_METHOD_CHECKSUMS: dict[str, tuple[Method, str]] = {}
+"""Checksums of methods that are not built in, computed once: a process does not run later changes of the source."""
 
 
 def software_of_method(method: str, *also: str) -> dict[str, str]:
-    """Return ``result.software``, the additions of other packages, and the checksum of a method from outside."""
-    there, made = method_of(method), software_versions(*also) | plugins.plugin_dependencies(method)
-    if there is BUILTIN_METHODS.get(method):
-        return made
+    """Return the software that results of a method depend on: versions, plug-ins, and the checksum of its source.
+
+    ``also`` are parts of the package that reconstructions do not depend on. Built-in methods have no checksum.
+    """
+    current, software = method_of(method), software_versions(*also) | plugins.plugin_dependencies(method)
+    if current is BUILTIN_METHODS.get(method):
+        return software
     known, code = _METHOD_CHECKSUMS.get(method, (None, ""))
-    if known is not there:
+    if known is not current:
         try:
-            code = source_checksum((there.fit, there.has_axis, there.checks_masks, there.as_published))
+            code = source_checksum((current.fit, current.has_axis, current.checks_masks, current.as_published))
         except UnknownSourceError:
             code = UNKNOWN_CHECKSUM
-        _METHOD_CHECKSUMS[method] = there, code
-    return made | {METHOD_CODE_KEY: code}
+        _METHOD_CHECKSUMS[method] = current, code
+    return software | {METHOD_CODE_KEY: code}
 
 
 def valid_result(
     folder: Path, checksum: str, method: str, options: Mapping[str, object], made_by: Mapping[str, str], overwrite: bool
 ) -> tuple[tuple[Reconstruction, dict[str, object]] | None, str]:
-    """Return the result in a folder with its record, if it is valid, else None and the reason, empty for no result.
+    """Return the result in a folder with its record if it is valid, else None and the reason (empty without a result).
 
-    ``source_checksum`` is that of the clip, ``software_of_method`` the software that would make it now. With ``overwrite`` none is good,
-    for no reason. Raises ``UsageError`` where something else is in the result's place.
+    ``checksum`` is the clip's; ``made_by`` the present ``software_of_method``. With ``overwrite`` no result is valid,
+    and the reason is empty. Raises ``UsageError`` where the folder holds something else.
     """
     if not folder.exists():
         return None, ""
@@ -76,36 +77,35 @@ def valid_result(
         result, record = read_result(folder)
     except InputError as error:
         return None, damaged_reason(error)
-    there = record | record["software"]
+    earlier = record | record["software"]
     now = {"input_sha256": checksum, "method": method, "seed": options["seed"], "options": options, **made_by}
-    why = describe_difference(
-        there, now, RESULT_INPUT_LABELS | {"getagrip": f"version {files.shorten_value(there.get('getagrip'))}"}
-    )
+    version = {"getagrip": f"version {files.shorten_value(earlier.get('getagrip'))}"}
+    why = describe_difference(earlier, now, RESULT_INPUT_LABELS | version)
     return (None, why) if why else ((result, record), "")
 
 
-def describe_difference(there: Mapping[str, object], now: Mapping[str, object], called: Mapping[str, str]) -> str:
-    """Explain in which entry a record differs from the one that would be made now; empty where it does not.
+def describe_difference(earlier: Mapping[str, object], now: Mapping[str, object], labels: Mapping[str, str]) -> str:
+    """Describe the first entry in which an earlier record differs from a present one; empty if none.
 
-    ``called`` are the entries that count, and how each is called.
+    ``labels`` maps the keys that count to their names.
     """
-    of_now = json.loads(files.to_json({key: now.get(key) for key in called}))
-    other = next((what for key, what in called.items() if there.get(key) != of_now[key]), "")
-    return f"what was there is of {other}" if other else ""
+    json_now = json.loads(files.to_json({key: now.get(key) for key in labels}))
+    other = next((label for key, label in labels.items() if earlier.get(key) != json_now[key]), "")
+    return f"the earlier result is of {other}" if other else ""
 
 
 def unknown_source_reason(method: str) -> str:
-    """Return the reason where it cannot be known whether a method has changed."""
+    """Return the reason to repeat the work of a method without source files."""
     return f"the source of the method {method} is in no file, and it may have changed"
 
 
 def damaged_reason(error: object) -> str:
-    """Return the reason where a record, or what belongs to it, cannot be read."""
-    return f"what was there is damaged ({error})"
+    """Return the reason to repeat work with an unreadable record."""
+    return f"the earlier result is damaged ({error})"
 
 
 def provenance_of(clip: Path, options: Options, *code: str) -> Json:
-    """Return what a record depends on; ``code`` are parts of the package that a reconstruction does not depend on."""
+    """Return the inputs of a benchmark's record; ``code`` are parts of the package beyond those of a reconstruction."""
     return {
         "inputs": input_sha256(clip),
         "options": asdict(options),
@@ -114,9 +114,9 @@ def provenance_of(clip: Path, options: Options, *code: str) -> Json:
 
 
 def load_or_compute(path: Path, of: Json, overwrite: bool, make: Callable[[], Json]) -> tuple[Json, str]:
-    """Read the record in a file, if it is valid, else make and write it; also return why an existing one was not valid.
+    """Read the record in a file if it is valid, else make and write it; also return why an earlier one was invalid.
 
-    The reason is empty where there was none, and with ``overwrite``.
+    ``of`` is its ``provenance_of``. The reason is empty without an earlier record, and with ``overwrite``.
     """
     why = ""
     if path.exists() and not overwrite:

@@ -1,4 +1,4 @@
-"""``getagrip import``: the clips of a dataset, its parts shared out."""
+"""``getagrip import``: write the clips of a dataset, its parts shared over processes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.engine import Engine
-from getagrip.batch.job import Outcome, failed_outcome
+from getagrip.batch.job import Outcome, failed_outcome, lost_outcome
 from getagrip.batch.ledger import Ledger, LedgerEntry, State, ledger_folder
 from getagrip.batch.scheduling import DEFAULT_SCHEDULING, SchedulingOptions
 from getagrip.clip import Clip, write_clip
@@ -23,22 +23,22 @@ from getagrip.readers.datasets.dataset import Dataset, Draft, Part
 from getagrip.stable_grasps import grasp_lists
 
 CAMERA_WARNING_STATUS = 3
-"""Exit status where a clip was made but its camera seems to be of other images."""
+"""Exit status where a clip was written but its camera does not seem to match its images."""
 
 
 @dataclass(frozen=True)
 class ImportJob:
-    """A part of a dataset to make clips of."""
+    """A part of a dataset whose clips are to be written."""
 
     part: Part
     out: Path
-    """The folder that holds the clips' own."""
+    """Parent of the clips' folders."""
     only: Set[str] | None = None
-    """Names of the clips to make; None: all."""
+    """Names of the clips to write; None: all."""
 
     @property
     def name(self) -> str:
-        """The part's."""
+        """Name of the part."""
         return self.part.name
 
 
@@ -48,13 +48,13 @@ class ImportedPart:
 
     clips: Sequence[Outcome]
     notes: Sequence[str] = ()
-    """Notes on what was skipped."""
+    """Notes on skipped data."""
     made: Sequence[Mapping[str, object]] = ()
-    """Provenance of the clips that were made."""
+    """Provenance of the new clips."""
     handless: int = 0
-    """Clips, made or kept, that lack their hands."""
+    """Number of clips without hands, new or kept."""
     warned: int = 0
-    """Clips that were made, whose camera seems to be of other images."""
+    """Number of new clips whose camera does not seem to match their images."""
 
 
 def import_clips(
@@ -64,13 +64,13 @@ def import_clips(
     share: SchedulingOptions = DEFAULT_SCHEDULING,
     only: Set[str] | None = None,
 ) -> int:
-    """Write the clips of a dataset as ``out/<clip name>/``, or ``only`` some of them.
+    """Write the clips of a dataset, or ``only`` the named ones, as ``out/<clip name>/``.
 
-    Returns 1 if something failed, 3 if a camera seems to belong to other images, else 0. Existing clips are kept,
-    unless they lack hands that are known now. Leftovers of killed processes are removed. Beside clips that are cut to
-    grasps, the list of them is written (``write_list``). Several calls may share a folder: its ledger says who reads
-    which part. Raises as ``Dataset.parts`` does, ``UsageError`` where clips in the folder were cut in another way, and
-    ``GetagripError`` where the ledger cannot be written.
+    Returns 1 if a part failed, 3 if a camera does not seem to match its images, else 0. Existing clips are kept, unless
+    they lack hands that are known now. Unfinished files of killed processes are removed. Clips cut to grasps get a list
+    of grasps (``write_list``). Calls may share a folder: its ledger assigns the parts. Raises the errors of
+    ``Dataset.parts``, ``UsageError`` where the folder's clips were cut differently, and ``GetagripError`` where the
+    ledger cannot be written.
     """
     jobs = [ImportJob(part, out, only) for part in dataset.parts(print_note) if part.name in share.shard]
     cut = dataset.cut_record()
@@ -108,7 +108,7 @@ def import_clips(
 
 
 def _lost_import(job: ImportJob, why: str) -> ImportedPart:
-    return ImportedPart([Outcome(job.name, "failed", why)])
+    return ImportedPart([lost_outcome(job, why)])
 
 
 def _import_entry(imported: ImportedPart) -> LedgerEntry:
@@ -141,9 +141,9 @@ def import_part(job: ImportJob) -> ImportedPart:
                     if why := camera_warning(clip.K, clip.size):
                         warned += 1
                         notes.append(f"{job.out / draft.name}: warning: camera: {why}")
-            except Exception as error:  # one clip's trouble must not end the others
+            except Exception as error:  # an error in one clip must not end the others
                 outcomes.append(failed_outcome(draft.name, error))
-    except Exception as error:  # nor may one part's
+    except Exception as error:  # nor an error in one part
         outcomes.append(failed_outcome(job.part.name, error))
     clips = [job.out / outcome.name for outcome in outcomes if outcome.state != "failed"]
     handless = sum(not (folder / "hand.npz").exists() for folder in clips)
@@ -151,7 +151,7 @@ def import_part(job: ImportJob) -> ImportedPart:
 
 
 def _write_draft(draft: Draft, folder: Path) -> Clip | None:
-    """Write a clip and return it; None where nothing is left of it. Raises as ``Draft.make`` does."""
+    """Write a clip and return it; None where no frame is left. Raises the errors of ``Draft.make``."""
     with plugins.convert_base_exceptions():
         made = draft.make()
     if made is None:
@@ -164,26 +164,26 @@ def _write_draft(draft: Draft, folder: Path) -> Clip | None:
 
 
 def claim_folder(out: Path, cut: Mapping[str, object] | None) -> None:
-    """Note in the folder how its clips are cut (None: they are not), before there are any.
+    """Note in the folder how its clips will be cut (None: not cut).
 
-    Raises ``UsageError`` where it holds clips that were cut in another way, ``InputError`` for a damaged list.
+    Raises ``UsageError`` where it holds clips that were cut differently, ``InputError`` for a damaged list.
     """
     path = out / grasp_lists.GRASP_LIST_FILE
     if path.exists():
         if cut is None or grasp_lists.read_cut(path) != cut:
             here = "no grasps" if cut is None else files.shorten_value(dict(cut))
-            why = f"it holds clips cut as {path.name} there says, not {here}"
+            why = f"it holds clips cut as its {path.name} states, not {here}"
             raise UsageError(f"--out {out} cannot be used with this import: {why}")
     elif cut is not None:
         if next(out.glob("*/clip.json"), None) is not None:
-            why = f"it holds clips and no {path.name} that says how they were cut"
+            why = f"it holds clips without a {path.name} that states how they were cut"
             raise UsageError(f"--out {out} cannot be used with this import: {why}")
         out.mkdir(parents=True, exist_ok=True)
         grasp_lists.write_listed_grasps(path, [], cut)
 
 
 def write_list(out: Path, cut: Mapping[str, object], note: Callable[[str], None]) -> int:
-    """Write the list of the grasps that a folder's clips are, from the clips alone; returns how many there are."""
+    """Write the list of a folder's grasps, from its clips alone; returns the number of grasps."""
     grasps = []
     for folder in sorted(path.parent for path in out.glob("*/clip.json")):
         try:

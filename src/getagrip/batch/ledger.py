@@ -1,15 +1,11 @@
-"""The ledger of a folder: what has become of each task, in an SQLite file that several drivers share.
+"""The ledger of a folder: the state of each task, in an SQLite file that several drivers share.
 
-It coordinates and records. What a result is, and whether it is still good, its own files say: a ledger that is lost is
-made again from them.
+The ledger coordinates and records. Results and their validity are in the results' own files: a lost ledger is made
+again from them.
 
-The living drivers: the processes that work on a folder together, each with a row in its ledger.
-
-A driver that dies gives back its claims. Clocks decide nothing, since they jump and differ between machines: a driver
-counts its heartbeats, and is dead to another one that has seen the same count for ``HEARTBEAT_TIMEOUT_S`` seconds of its own
-steady clock. On the same machine a process that is gone, or whose number another one has, is dead at once.
-
-The entries of a ledger, one for each task. They are read here, by whoever does not change it, too.
+Each driver has a row of its own; the claims of a dead driver are free. Wall clocks jump and differ between machines,
+so a driver counts its heartbeats: it is dead to another driver that sees the same count for ``HEARTBEAT_TIMEOUT_S``
+seconds of its own steady clock. On the same machine, a driver is dead as soon as its process has ended.
 """
 
 from __future__ import annotations
@@ -37,29 +33,28 @@ DRIVERS_SCHEMA = """CREATE TABLE drivers (
     id TEXT PRIMARY KEY, machine TEXT NOT NULL, pid INTEGER NOT NULL, born TEXT NOT NULL, beats INTEGER NOT NULL
 ) WITHOUT ROWID"""
 HEARTBEAT_S = 2.0
-"""Seconds between heartbeats."""
+"""Interval between heartbeats."""
 HEARTBEAT_TIMEOUT_S = 30.0
-"""Seconds without one after which a driver is dead."""
-
+"""Time without a heartbeat after which a driver is dead."""
 
 _LOCAL_DRIVERS: set[str] = set()
-"""Drivers of this process that are at work: one that rests is dead, also where a full disk keeps its row."""
+"""Working drivers of this process; a driver that rests is dead, even if a full disk keeps its row."""
 
 
 class Drivers:
-    """The drivers of a ledger, of which this process is one from ``join`` to ``rest``."""
+    """The drivers of a ledger; this process is one from ``join`` to ``rest``."""
 
     def __init__(self, db: sqlite3.Connection, path: Path) -> None:
         self.id = uuid4().hex
         self._db = db
         self._there = f"{path.absolute().as_uri()}?mode=rw"
-        """The file's address: it is made by nobody else, should it be gone or this process in another folder."""
+        """URI of the file: absolute, and never created anew if the file is removed."""
         self._machine = _machine_id()
         self._seen: dict[str, tuple[int, float]] = {}
         self._leaving = threading.Event()
 
     def join(self) -> None:
-        """Enter this process, start its heartbeat, and remove the drivers that were killed."""
+        """Enter this process, start its heartbeat, and remove dead drivers."""
         self._strike_off_dead()
         row = (self.id, self._machine, os.getpid(), _process_start_time(os.getpid()))
         self._db.execute("INSERT INTO drivers VALUES (?, ?, ?, ?, 0)", row)
@@ -72,18 +67,17 @@ class Drivers:
         _LOCAL_DRIVERS.discard(self.id)
 
     def leave(self) -> None:
-        """Remove this process, and the drivers that have died meanwhile."""
+        """Remove this process and dead drivers."""
         self._strike_off_dead()
         self._db.execute("DELETE FROM drivers WHERE id = ?", (self.id,))
 
     def _strike_off_dead(self) -> None:
-        """Remove the rows of drivers that do not live: nobody else would."""
         known = [driver for (driver,) in self._db.execute("SELECT id FROM drivers")]
         dead = [(driver,) for driver in known if not self.lives(driver)]
         self._db.executemany("DELETE FROM drivers WHERE id = ?", dead)
 
     def lives(self, driver: str) -> bool:
-        """Return whether a driver is at work, as far as can be known."""
+        """Return whether a driver lives, as far as this process can know."""
         row = self._db.execute("SELECT machine, pid, born, beats FROM drivers WHERE id = ?", (driver,)).fetchone()
         if row is None:
             return False
@@ -101,7 +95,7 @@ class Drivers:
         return time.monotonic() - since < HEARTBEAT_TIMEOUT_S
 
     def _beat(self) -> None:
-        """Count in a thread until the driver leaves."""
+        """Count heartbeats in a thread until the driver rests."""
         while not self._leaving.wait(HEARTBEAT_S):
             try:
                 db = sqlite3.connect(self._there, timeout=HEARTBEAT_S, isolation_level=None, uri=True)
@@ -109,23 +103,23 @@ class Drivers:
                     db.execute("UPDATE drivers SET beats = beats + 1 WHERE id = ?", (self.id,))
                 finally:
                     db.close()
-            except sqlite3.Error:  # busy, or the disk is full: the next beat may come through
+            except sqlite3.Error:  # busy, or the disk is full: the next beat may succeed
                 continue
 
 
 def _machine_id() -> str:
-    """Return an identifier of this machine since its start; containers with processes of their own have another one."""
+    """Return an identifier of this machine since its start, and of the container's namespace of processes."""
     parts = [socket.gethostname()]
     try:
         parts.append(Path("/proc/sys/kernel/random/boot_id").read_text("utf-8").strip())
         parts.append(os.readlink("/proc/self/ns/pid"))
-    except OSError:  # no Linux: then heartbeats alone say who lives
+    except OSError:  # not Linux: only heartbeats show who lives
         parts.append(uuid4().hex)
     return " ".join(parts)
 
 
 def _process_start_time(pid: int) -> str:
-    """When a process has started, in ticks since the machine has; empty for none, and where that is unknown."""
+    """Return a process's start time, in ticks since the machine's start; empty if unknown or not running."""
     try:
         return Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[19]
     except (OSError, IndexError):
@@ -143,11 +137,11 @@ TASKS_SCHEMA = """CREATE TABLE tasks (
 ) WITHOUT ROWID"""
 LEDGER_SCHEMA = (TASKS_SCHEMA, DRIVERS_SCHEMA)
 MAX_LEDGER_TEXT_BYTES = 2**20
-"""Bytes of a text in the file, and of a row."""
+"""Maximum size of a text in the file, and of a row."""
 LEDGER_TIMEOUT_S = 60.0
-"""Seconds to wait for another driver's transaction."""
+"""Maximum wait for another driver's transaction."""
 State = Literal["open", "done", "failed", "kept"]
-"""``kept`` is what has become of a task whose result was there already; it is written as ``done``."""
+"""``kept``: a valid result existed already; written as ``done``."""
 
 
 @dataclass(frozen=True)
@@ -157,15 +151,15 @@ class LedgerEntry:
     name: str
     state: State = "open"
     why: str = ""
-    """Why it failed; of one that is done, how it ended."""
+    """Reason of a failure; status of a result."""
     attempts: int = 0
-    """In the run that has ended it."""
+    """Number of attempts in the last run."""
     seconds: float = 0.0
     """Wall time of the last attempt."""
     worker: str = ""
-    """Machine and number of the process that made it."""
+    """Machine and process number of the last attempt."""
     inputs: str = ""
-    """Checksum of what it was made from."""
+    """Checksum of the inputs."""
     options: str = ""
     """Checksum of the options."""
     code: str = ""
@@ -175,13 +169,11 @@ class LedgerEntry:
 
 
 LEDGER_COLUMNS = tuple(LedgerEntry.__dataclass_fields__)
-
-
 EXPECTED_LEDGER = f"a ledger of version {LEDGER_VERSION}, or none: results do without"
 
 
 class Entries:
-    """The entries of a ledger that is open."""
+    """The entries of an open ledger."""
 
     path: Path
     _db: sqlite3.Connection
@@ -198,7 +190,7 @@ class Entries:
             return self._db.execute("SELECT 1 FROM tasks WHERE name = ?", (name,)).fetchone() is not None
 
     def _entry(self, row: sqlite3.Row) -> LedgerEntry:
-        """Convert a row to an entry. Raises ``InputError`` where it is none."""
+        """Convert a row to an entry. Raises ``InputError`` for a damaged row."""
         values = dict(zip(LEDGER_COLUMNS, row, strict=True))
         texts = [value for column, value in values.items() if column not in ("attempts", "seconds")]
         try:
@@ -212,12 +204,12 @@ class Entries:
         return LedgerEntry(**values)
 
     def _tables(self) -> list[str]:
-        """How the tables were made."""
-        made = self._db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rowid")
-        return [sql for (sql,) in made]
+        """Return the statements that created the tables."""
+        rows = self._db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rowid")
+        return [sql for (sql,) in rows]
 
     def _check(self) -> None:
-        """Raise ``InputError`` where the file is of something else."""
+        """Raise ``InputError`` where the file is not a ledger of this version."""
         is_ours = self._db.execute("PRAGMA application_id").fetchone() == (LEDGER_APPLICATION_ID,)
         version = self._db.execute("PRAGMA user_version").fetchone()[0]
         if not is_ours or version != LEDGER_VERSION or self._tables() != list(LEDGER_SCHEMA):
@@ -225,21 +217,21 @@ class Entries:
 
     @contextmanager
     def _named(self) -> Iterator[None]:
-        """Say which file SQLite's errors are about."""
+        """Convert SQLite's errors to errors that name the file."""
         try:
             yield
         except sqlite3.OperationalError as error:  # a full disk, no permission, no answer
             raise GetagripError(f"{self.path}: the ledger cannot be used ({error})") from error
         except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter: a message that quotes damaged text
-            got = f"a file that is no ledger ({error})"
+            got = f"not a ledger ({error})"
             raise InputError(self.path, "", got, "a ledger, or none: results do without") from error
 
 
 class ReadOnlyLedger(Entries):
-    """A ledger as it is at the moment; nothing in it is changed, and whoever writes it is not disturbed."""
+    """A ledger opened for reading, which does not disturb its drivers."""
 
     def __init__(self, folder: Path) -> None:
-        """Open it. Raises ``InputError`` where it is something else, ``GetagripError`` where it cannot be read."""
+        """Open a folder's ledger. Raises ``InputError`` for another file, ``GetagripError`` where it is unreadable."""
         self.path = folder / LEDGER_FILE
         with self._named():
             self._db = files.connect(
@@ -262,7 +254,7 @@ class ReadOnlyLedger(Entries):
 
 @contextmanager
 def open_existing_ledger(folder: Path) -> Iterator[Entries | None]:
-    """Open the ledger in a folder; None, with a message, where there is none that can be read: results do without."""
+    """Open the ledger in a folder; None if it does not exist, or, with a message, if it is unreadable."""
     if not (folder / LEDGER_FILE).exists():
         yield None
         return
@@ -280,7 +272,7 @@ class Ledger(Entries):
     """The ledger of a folder, opened by one driver."""
 
     def __init__(self, folder: Path) -> None:
-        """Open or make it. Raises ``InputError`` where it is something else, ``GetagripError`` where it cannot be."""
+        """Open or create a folder's ledger. Raises ``InputError`` for another file, ``GetagripError`` on failure."""
         folder.mkdir(parents=True, exist_ok=True)
         self.path = folder / LEDGER_FILE
         with self._named():
@@ -299,22 +291,19 @@ class Ledger(Entries):
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give back what is claimed and not ended, and leave."""
+        """Give back unfinished claims, and leave."""
         self._drivers.rest()
         try:
             with self._transaction() as db:
                 db.execute("UPDATE tasks SET claimed_by = '' WHERE claimed_by = ?", (self._drivers.id,))
                 self._drivers.leave()
-        except GetagripError:  # a full disk: others will see that we are gone
+        except GetagripError:  # a full disk: other drivers will find this one dead
             pass
         finally:
             self._db.close()
 
     def expect(self, names: Iterable[str], failed: Iterable[LedgerEntry]) -> None:
-        """Enter tasks that have no entry, and paths that give no clip.
-
-        Their names have a slash, as no clip's has. They take the place of those of earlier calls.
-        """
+        """Enter new tasks, and replace the paths without a clip (names with a slash) of earlier calls."""
         with self._transaction() as db:
             values = ((name, "open", "", 0, 0.0, "", "", "", "", "{}", "", "") for name in names)
             db.executemany(f"INSERT OR IGNORE INTO tasks VALUES ({', '.join('?' * 12)})", values)
@@ -323,9 +312,9 @@ class Ledger(Entries):
             db.executemany(f"INSERT OR IGNORE INTO tasks VALUES ({', '.join('?' * 12)})", rows)
 
     def claim(self, name: str, options: str, code: str) -> LedgerEntry | None:
-        """Claim a task for this driver, and return its entry; None where a living driver is at work on it.
+        """Claim a task for this driver, and return its entry; None while another living driver works on it.
 
-        An entry that has ``failed`` is not claimed: a living driver has just tried the same, in vain.
+        A returned entry in state ``failed`` is not claimed: a living driver has just failed at the same work.
         """
         with self._transaction() as db:
             row = db.execute(
@@ -349,9 +338,9 @@ class Ledger(Entries):
             return LedgerEntry(**{**vars(entry), "state": "open" if entry.state == "failed" else entry.state})
 
     def end(self, entry: LedgerEntry) -> None:
-        """Write the outcome of this driver's task, unless another one took this for dead and the task over.
+        """Write the outcome of this driver's task, unless another driver has taken over the task.
 
-        Of one whose result was ``kept``, what is known of its making stays.
+        A ``kept`` result keeps its earlier entry.
         """
         me = {"claimed_by": "", "ended_by": self._drivers.id}
         values = vars(entry) | {"why": entry.why[: MAX_LEDGER_TEXT_BYTES // 8], "about": json.dumps(entry.about)} | me
@@ -369,11 +358,11 @@ class Ledger(Entries):
             db.execute(f"UPDATE tasks SET {changes} WHERE {ours}", values | {"me": self._drivers.id})
 
     def _of_another(self, driver: str) -> bool:
-        """Return whether this is a living driver other than this process."""
+        """Return whether a driver lives and is not this one."""
         return bool(driver) and driver != self._drivers.id and self._drivers.lives(driver)
 
     def _prepare(self) -> None:
-        """Make the tables, or see that they are ours."""
+        """Create the tables, or check existing ones."""
         with self._named():
             self._to_wal()
             self._db.execute("PRAGMA synchronous = NORMAL")
@@ -387,7 +376,7 @@ class Ledger(Entries):
             self._check()
 
     def _to_wal(self) -> None:
-        """Have the file in WAL mode. Here SQLite does not wait for another driver that begins, as it does elsewhere."""
+        """Set WAL mode; SQLite's timeout does not cover this statement, so wait for other drivers here."""
         until = time.monotonic() + LEDGER_TIMEOUT_S
         while True:
             try:
@@ -400,7 +389,7 @@ class Ledger(Entries):
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
-        """Open a transaction that holds whole or not at all, without other writers in between."""
+        """Open a transaction that is committed as a whole or rolled back, without other writers in between."""
         with self._named():
             self._db.execute("BEGIN IMMEDIATE")
             try:
@@ -413,9 +402,9 @@ class Ledger(Entries):
 
 
 def ledger_folder(out: Place, value: Path | None) -> Path:
-    """Return the ledger's folder: the one ``given``, else that of the results, else one in the user's state folder.
+    """Return the ledger's folder, on a local disk: ``value``, else the results' folder, else one in the state folder.
 
-    SQLite needs a local disk. Calls on the same results on one machine share the ledger.
+    Calls on the same results on one machine share the ledger.
     """
     if value is not None:
         return value

@@ -1,24 +1,20 @@
-"""The summary of a folder's clips: ``summary.csv``, and the index page with the worst of them.
-
-``--keep``: mark the results of which a share is right, in the hand or in the camera. Nothing is deleted.
-"""
+"""The summary of a folder's clips: ``summary.csv``, an index page of the worst clips, and the marks of ``--keep``."""
 
 from __future__ import annotations
 
 import heapq
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-from tyro.conf import arg
+from typing import TYPE_CHECKING
 
 from getagrip import __version__
 from getagrip.batch.job import Outcome, local_results
 from getagrip.batch.ledger import Entries, LedgerEntry
-from getagrip.errors import InputError, UsageError, escape_unprintable, replace_surrogates
+from getagrip.batch.scheduling import NO_KEEP_FILTER, KeepOptions
+from getagrip.errors import InputError, escape_unprintable, replace_surrogates
 from getagrip.io import files
 from getagrip.io.storage import Place, RemotePath
 from getagrip.io.terminal import CsvTable
@@ -26,95 +22,27 @@ from getagrip.result import is_result, read_result, read_result_record
 from getagrip.result.findings import Probability, read_findings, read_probability
 
 if TYPE_CHECKING:
-    from getagrip.fitting.options import Options
     from getagrip.report.pages import IndexRow
-    from getagrip.result import Reconstruction
 
-MIN_KEEP_SHARE, MAX_KEEP_SHARE = 0.5, 0.98
-"""Shares that results are calibrated for (``checks.calibration``)."""
-MAX_NAMED_RESULTS = 20
-"""Most results that are named in a line: the summary has them all."""
-
-
-@dataclass(frozen=True)
-class KeepOptions:
-    """Which results are kept. Raises ``UsageError``."""
-
-    keep: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="(default: no result is marked)")] = None
-    """Mark each result as kept or dropped, such that at least this share of the kept ones (0.5 to 0.98) is right.
-    Nothing is deleted. Calibrated with simulated and with real errors of hands."""
-    keep_in: Literal["hand", "camera"] = "hand"
-    """Frame in which kept results must be right."""
-
-    def __post_init__(self) -> None:
-        if self.keep is not None and not MIN_KEEP_SHARE <= self.keep <= MAX_KEEP_SHARE:
-            raise UsageError(f"--keep must be {MIN_KEEP_SHARE:g} to {MAX_KEEP_SHARE:g} (got {self.keep:g})")
-
-    def check(self, options: Options) -> None:
-        """Raise ``UsageError`` where results of these options have no probability: all of them would be dropped."""
-        if self.keep is not None:
-            from getagrip.fitting.stages.confidence import uncalibrated_reason
-
-            if why := uncalibrated_reason(options, ()):
-                raise UsageError(f"--keep needs the probability that results are right, and {why}")
-
-    def verdict(self, in_hand: Probability | None, in_camera: Probability | None) -> str:
-        """Return "kept" or "dropped"; empty where nothing is marked. Results without a probability are dropped."""
-        return self.mark(*(None if right is None else right.keep for right in (in_hand, in_camera)))
-
-    def mark(self, in_hand: float | None, in_camera: float | None) -> str:
-        """Return the verdict by the largest shares that a result is kept for."""
-        if self.keep is None:
-            return ""
-        share = in_hand if self.keep_in == "hand" else in_camera
-        return "kept" if share is not None and share >= self.keep else "dropped"
-
-    def marked(self, row: IndexRow, result: Reconstruction) -> IndexRow:
-        """Return a row of the index with a flag where its result is dropped."""
-        dropped = self.verdict(result.probability_right, result.probability_right_in_camera) == "dropped"
-        return replace(row, flags=(*row.flags, "dropped")) if dropped else row
-
-    def summary(self, verdicts: Mapping[str, str]) -> str:
-        """Sum up the verdicts of results by name, in a line."""
-        dropped = sorted(name for name, verdict in verdicts.items() if verdict == "dropped")
-        kept = len(verdicts) - len(dropped)
-        more = f" and {len(dropped) - MAX_NAMED_RESULTS} more" if len(dropped) > MAX_NAMED_RESULTS else ""
-        named = f"; dropped: {', '.join(dropped[:MAX_NAMED_RESULTS])}{more}" if dropped else ""
-        share = f"{kept} of {len(verdicts)} ({100.0 * kept / max(len(verdicts), 1):.0f} %) are kept"
-        return f"{share}: at least {100.0 * (self.keep or 0.0):.3g} % of such are right in the {self.keep_in}{named}"
-
-
-NO_KEEP_FILTER = KeepOptions()
-"""No mark."""
 
 SUMMARY_FILE, INDEX_FILE = "summary.csv", "index.html"
 PROBABILITY_KEYS = ("probability_right", "probability_right_in_camera")
-"""That the poses are right in the hand, and in the camera."""
+"""Probabilities that the poses are right in the hand, and in the camera."""
 KEEP_KEYS = ("keep", "keep_in_camera")
-"""The largest share of right results for which each is kept, likewise."""
+"""Largest ``--keep`` that keeps the result, in the hand and in the camera."""
 METHOD_KEYS = ("ambiguous", "method", "seed", "version")
-SUMMARY_COLUMNS = (
-    "clip",
-    "status",
-    "why",
-    "seconds",
-    "IOU",
-    *PROBABILITY_KEYS,
-    *KEEP_KEYS,
-    "kept",
-    *METHOD_KEYS,
-    "findings",
-)
+_RESULT_COLUMNS = ("clip", "status", "why", "seconds", "IOU")
+SUMMARY_COLUMNS = (*_RESULT_COLUMNS, *PROBABILITY_KEYS, *KEEP_KEYS, "kept", *METHOD_KEYS, "findings")
 MAX_RESULT_NUMBER = 1e9
-"""No number of a result is so large: ledgers may come from anybody."""
+"""Limit on numbers of results: ledgers are untrusted."""
 MAX_INDEX_ROWS = 1000
-"""Most clips that the index shows: a page of all would be too large for a browser."""
+"""Maximum number of clips of the index: more would be too large for a browser."""
 STATE_NAMES = {"failed": "failed", "done": "results", "open": "left"}
-"""States, the worst first (of what is not done yet nobody knows), each with what the index calls it."""
+"""Names of states in the index, the worst state first."""
 
 
 def outcome_entry(outcome: Outcome, method: str, seed: int) -> LedgerEntry:
-    """Make the ledger's entry of a clip that was given to a method."""
+    """Make the ledger's entry of a clip from the outcome of a method."""
     right = (outcome.probability_right, outcome.probability_right_in_camera)
     return LedgerEntry(
         name=outcome.name,
@@ -135,13 +63,12 @@ def outcome_entry(outcome: Outcome, method: str, seed: int) -> LedgerEntry:
 
 
 def _probability_fields(right: Sequence[Probability | None]) -> dict[str, float | None]:
-    """Return what an entry holds of both probabilities."""
     values = {key: None if one is None else one.value for key, one in zip(PROBABILITY_KEYS, right, strict=True)}
     return values | {key: None if one is None else one.keep for key, one in zip(KEEP_KEYS, right, strict=True)}
 
 
 def failed_path_entry(outcome: Outcome) -> LedgerEntry:
-    """Make the ledger's entry of a path that gave no clip to work on: its name is the path, as no clip's is."""
+    """Make the ledger's entry of a path without a clip; its name is the path."""
     clip = escape_unprintable(outcome.name) or Path(outcome.path).name
     return LedgerEntry(outcome.path, "failed", outcome.message, about={"clip": clip})
 
@@ -152,16 +79,16 @@ def display_name(entry: LedgerEntry) -> str:
 
 
 def entry_number(entry: LedgerEntry, key: str) -> float | None:
-    """Return a number of a result's entry, if it is known."""
+    """Return a number of a result's entry; None if unknown."""
     value = entry.about.get(key)
     return float(value) if isinstance(value, int | float) and abs(value) < MAX_RESULT_NUMBER else None
 
 
 def known_entries(ledger: Entries | None, out: Place) -> Iterator[LedgerEntry]:
-    """Yield an entry for each clip that the ledger knows or that has a result, in the state in which the results are.
+    """Yield an entry for each clip of the ledger or with a result; its state is that of the result.
 
-    What is done but has no result any more is open; what is open but has one is done: who made it was interrupted. In
-    an object store that is not looked up.
+    A done clip without a result is open; an open clip with a result is done (its driver was interrupted). States of
+    clips in an object store are the ledger's.
     """
     for entry in () if ledger is None else ledger.entries():
         yield _entry_by_result(entry, out)
@@ -172,12 +99,12 @@ def known_entries(ledger: Entries | None, out: Place) -> Iterator[LedgerEntry]:
 
 
 def ledger_severity_key(entry: LedgerEntry) -> tuple[int, float, str]:
-    """Return a key that sorts the worst clips first: failed ones, then by IOU."""
+    """Return a sort key: the worst clips first, failed ones, then by IOU."""
     return [*STATE_NAMES].index(entry.state), entry_number(entry, "iou") or 0.0, entry.name
 
 
 def write_summary(ledger: Entries | None, out: Place, keep: KeepOptions = NO_KEEP_FILTER) -> list[Place]:
-    """Write table and index page of a folder of results and of its ledger, and return where they are."""
+    """Write table and index page of a folder of results and its ledger, and return their paths."""
     if isinstance(out, Path):
         return [*_write_summary_files(ledger, out, out, keep)]
     with tempfile.TemporaryDirectory(prefix="getagrip.") as folder:
@@ -189,7 +116,7 @@ def write_summary(ledger: Entries | None, out: Place, keep: KeepOptions = NO_KEE
 def write_summary_table(
     ledger: Entries | None, results: Place, path: Path, keep: KeepOptions = NO_KEEP_FILTER
 ) -> Counter[str]:
-    """Write the table of all clips; return how many are in each state."""
+    """Write the table of all clips; return the number of clips in each state."""
     states = Counter[str]()
     with files.new_text(path) as file:
         table = CsvTable(file)
@@ -199,15 +126,15 @@ def write_summary_table(
             about, known = entry.about, [entry_number(entry, key) for key in ("iou", *PROBABILITY_KEYS, *KEEP_KEYS)]
             cells = ["" if value is None else f"{value:.4f}" for value in known]
             cells.append(keep.mark(*known[-2:]) if entry.state == "done" else "")
-            made = ["" if (value := about.get(key)) is None else str(value) for key in METHOD_KEYS]
-            row = [display_name(entry), entry.state, entry.why, f"{entry.seconds:.2f}", *cells, *made]
-            found = about.get("findings")
-            table.write_row([*row, "; ".join(map(str, found)) if isinstance(found, list) else ""])
+            method = ["" if (value := about.get(key)) is None else str(value) for key in METHOD_KEYS]
+            row = [display_name(entry), entry.state, entry.why, f"{entry.seconds:.2f}", *cells, *method]
+            findings = about.get("findings")
+            table.write_row([*row, "; ".join(map(str, findings)) if isinstance(findings, list) else ""])
     return states
 
 
 def row_without_result(entry: LedgerEntry) -> IndexRow:
-    """Make the index's row of a clip that has failed, or that is not done."""
+    """Make the index's row of a failed or open clip."""
     from getagrip.report.pages import IndexRow
 
     return IndexRow(display_name(entry), entry.why, flags=(STATE_NAMES[entry.state],))
@@ -219,23 +146,22 @@ def _write_summary_files(ledger: Entries | None, results: Place, out: Path, keep
 
 
 def _write_index(ledger: Entries | None, results: Place, out: Path, states: Counter[str], keep: KeepOptions) -> Path:
-    """Write the index page of the worst clips; pictures are ``getagrip report``'s, which takes as long as the clips."""
+    """Write the index page of the worst clips, without pictures, which only ``getagrip report`` renders."""
     from getagrip.report.pages import IndexRow, index_row_without_clip, write_index
 
     worst = heapq.nsmallest(MAX_INDEX_ROWS, known_entries(ledger, results), key=ledger_severity_key)
     rows = []
-    with local_results(results, [entry.name for entry in worst if entry.state == "done"]) as there:
+    with local_results(results, [entry.name for entry in worst if entry.state == "done"]) as local:
         for entry in worst:
-            folder = there / entry.name
+            folder = local / entry.name
             try:
                 if entry.state != "done":
                     rows.append(row_without_result(entry))
                     continue
                 result, record = read_result(folder)
                 page = (folder / "report.html").is_file()
-                rows.append(
-                    keep.marked(index_row_without_clip(entry.name, result, record["metrics"], "", page), result)
-                )
+                row = index_row_without_clip(entry.name, result, record["metrics"], "", page)
+                rows.append(keep.marked(row, result))
             except InputError as error:
                 rows.append(IndexRow(entry.name, problem=str(error), flags=("failed",)))
     title = results.name if isinstance(results, RemotePath) else results.resolve().name
@@ -244,24 +170,22 @@ def _write_index(ledger: Entries | None, results: Place, out: Path, states: Coun
 
 
 def _entry_by_result(entry: LedgerEntry, out: Place) -> LedgerEntry:
-    """Return an entry in the state in which its result is."""
     if entry.state == "failed":
         return entry
     has_result = isinstance(out, RemotePath) or (files.is_portable_name(entry.name) and is_result(out / entry.name))
     if entry.state == "done":
-        return entry if has_result else LedgerEntry(entry.name, "open", "its result is not there any more")
+        return entry if has_result else LedgerEntry(entry.name, "open", "its result has been removed")
     if has_result and isinstance(out, Path):
         return _entry_from_result(entry, out / entry.name)
     return replace(entry, why=entry.why or "not done yet")
 
 
 def _entry_from_result(entry: LedgerEntry, folder: Path) -> LedgerEntry:
-    """Make the entry of a clip from its result alone."""
     path = folder / "result.json"
     try:
         record = read_result_record(folder)
         right = {key: read_probability(path, record[key], key) for key in PROBABILITY_KEYS}
-        found = [str(finding) for finding in read_findings(path, record["findings"])]
+        findings = [str(finding) for finding in read_findings(path, record["findings"])]
     except InputError as error:
         return replace(entry, why=f"its result cannot be read ({error})")
     about = {
@@ -269,8 +193,7 @@ def _entry_from_result(entry: LedgerEntry, folder: Path) -> LedgerEntry:
         **_probability_fields([*right.values()]),
         **{key: record[key] for key in METHOD_KEYS[:-1]},
         "version": record["software"].get("getagrip"),
-        "findings": found,
+        "findings": findings,
     }
-    return replace(
-        entry, state="done", why=record["message"], seconds=record["seconds"].get("total") or 0.0, about=about
-    )
+    seconds = record["seconds"].get("total") or 0.0
+    return replace(entry, state="done", why=record["message"], seconds=seconds, about=about)

@@ -1,22 +1,13 @@
-"""The ablations: settings that are compared with each other, as data.
-
-The comparison that a benchmark of grasps makes: options of ``getagrip bench``, light to load.
-
-One step of an ablation, an ablation, and what is compared where nothing is named.
-
-The variants that run on every clip, each method in each setting, with their options and folders.
-"""
+"""Ablations: settings to compare, and the variants (each method in each setting) that run on every clip."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from tyro.conf import arg
-
-from getagrip.batch.summary import KeepOptions
+from getagrip.bench.inputs.hand_sources import HandSource, WithHands
 from getagrip.bench.inputs.perturbations import (
     UNCHANGED,
     Change,
@@ -39,72 +30,19 @@ from getagrip.bench.inputs.simulated_evidence import (
     SimulatedJoints,
 )
 from getagrip.bench.inputs.wrong_inputs import INPUT_MISTAKES
-from getagrip.errors import unknown_choice_error
+from getagrip.errors import UsageError
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Departures, Options
-from getagrip.io.options import Flag
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 from getagrip.metrics.evaluate.external import ExternalSystem
 from getagrip.synthetic.noise import NOISE_PRESETS, Noise
 
-
-def _methods_help(_: str) -> str:
-    """List the methods that there are when help is shown."""
-    return f"(of {', '.join(METHODS)}; default: all of getagrip's but paper...)"
-
-
-def _ablations_help(_: str) -> str:
-    """Return the names that an option takes, loaded only to show its help."""
-
-    return f"(one of {', '.join(ABLATIONS)}; default: none)"
-
-
-@dataclass(frozen=True)
-class ComparisonOptions:
-    """Methods, or settings of methods, hands or other systems. Raises ``UsageError``."""
-
-    methods: Annotated[tuple[str, ...], arg(metavar="METHOD...", help_behavior_hint=_methods_help)] = ()
-    """Methods to compare. By default, ablations compare one-dof and soft-hinge, and the ablation departures compares
-    the paper's. Methods of other packages, and the paper's, which are slow, run only if they are named."""
-    ablation: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_ablations_help)] = None
-    """Compare settings of each method, instead of the methods as they are."""
-    hands: Annotated[tuple[str, ...], arg(metavar="NAME=DIR...", help_behavior_hint="")] = ()
-    """Compare hands of several estimators for the same clips, on the frames that all have: DIR holds clips of the same
-    names, or a hand file <clip>.npz for each (import hands --out)."""
-    others: Annotated[tuple[str, ...], arg(name="with", metavar="NAME=DIR...", help_behavior_hint="")] = ()
-    """Add rows with other systems' results: DIR holds the poses of each clip under its name, as for evaluate --poses,
-    or result folders."""
-    contact: Annotated[
-        tuple[float, ...],
-        arg(metavar="MM...", help_behavior_hint="(default: 10; for clips that import made, the value that cut them)"),
-    ] = ()
-    """In SCA, SCA-ADD and SCA-IOU, points of the object within MM of the hand's surface are in contact; with several
-    values, rows for each. The paper uses 0 on ARCTIC."""
-
-    replay: Flag = False
-    """Also simulate each result (getagrip replay): in what share of the frames the object stays in the hand."""
-    columns: Annotated[
-        tuple[Literal["paper", "motion", "recall"], ...],
-        arg(help_behavior_hint="(default: paper; of ho3d-eval: recall)"),
-    ] = ()
-    """Columns of the tables. paper: its own; motion: ARCTIC's metrics; recall: areas under curves of ADD and ADD-S, and
-    BOP's average recall."""
-    refine: Flag = False
-    """Add a row for each system of --with: our joint fit that starts from its poses, as of refine."""
-    keep: Annotated[KeepOptions, arg(name="")] = field(default_factory=KeepOptions)
-
-    def __post_init__(self) -> None:
-        for name in self.methods:
-            if name not in METHODS:
-                raise unknown_choice_error("--methods", name, METHODS)
-
-
 REFERENCE_METHOD = "one-dof"
-"""Ours after the paper, the plain hinge: what the others are compared with."""
+"""Baseline of comparisons: our version of the paper's plain hinge."""
 DEFAULT_METHODS = tuple(name for name, method in METHODS.own.items() if not method.slow)
-"""Methods that are compared where none is named; those of other packages only where they are."""
+"""Methods to compare by default; methods of other packages must be named."""
 DEFAULT_CONTACT_DEFINITIONS = (ContactDefinition("object", 0.010),)
-"""Definitions of contact (docs/metrics.md) in the tables, unless a run or a setting says otherwise."""
+"""Default definitions of contact (docs/metrics.md) in the tables."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +51,7 @@ class Setting:
 
     label: str
     options: Mapping[str, Any] = field(default_factory=dict)
-    """``Options`` that differ from those of the run."""
+    """Fields of ``Options`` that differ from the run's."""
     change: Change = UNCHANGED
     contact: ContactDefinition | None = None
     """Definition of contact in the metrics; None: the run's."""
@@ -121,38 +59,34 @@ class Setting:
 
 @dataclass(frozen=True)
 class Ablation:
-    """Settings that are compared with each other, for each of a few methods."""
+    """Settings to compare, for each of a few methods."""
 
     title: str
     usual: str | None
-    """Label of the setting that the others are compared with; None: methods are compared in each setting."""
+    """Label of the baseline setting; None: methods are compared in each setting."""
     settings: tuple[Setting, ...]
     methods: tuple[str, ...] = (REFERENCE_METHOD, "soft-hinge")
-    """Unless others are named."""
+    """Default methods."""
 
 
 def _hand_noise(mm: float) -> Setting:
-    """Make a setting with a bias, and jitter of half its size correlated over a tenth of a second.
-
-    Both turn the hand by 0.8 degrees per millimetre.
-    """
+    """Make a setting with a bias, and jitter of half its size correlated over 0.1 s; both rotate by 0.8 degrees/mm."""
     deg = 0.8 * mm
-    noise = Noise(
-        hand_bias_mm=mm, hand_bias_deg=deg, hand_jitter_mm=mm / 2, hand_jitter_deg=deg / 2, jitter_memory_s=0.1
-    )
-    return Setting(f"{mm:g} mm, {deg:g}°", change=Noisy(noise))
+    jitter = {"hand_jitter_mm": mm / 2, "hand_jitter_deg": deg / 2, "jitter_memory_s": 0.1}
+    return Setting(f"{mm:g} mm, {deg:g}°", change=Noisy(Noise(hand_bias_mm=mm, hand_bias_deg=deg, **jitter)))
+
+
+def _hand_noise_level(name: str) -> Noise:
+    return replace(NOISE_PRESETS[name], mask_ragged_px=0.0)
 
 
 def _noise_level(name: str) -> Setting:
-    """Make a setting with the hands of a level of noise; the masks stay as they are."""
-    return Setting(name, change=Noisy(replace(NOISE_PRESETS[name], mask_ragged_px=0.0)))
+    return Setting(name, change=Noisy(_hand_noise_level(name)))
 
 
 def _estimated_hands_setting(label: str, *evidence: Change, level: str = "estimated") -> Setting:
-    """Name a change to estimated hands, at a level of noise where they are true; evidence is of true ones."""
-    return Setting(
-        label, change=Several((*evidence, EstimatedHands(replace(NOISE_PRESETS[level], mask_ragged_px=0.0))))
-    )
+    """Make a setting with evidence simulated from the true hand, then hands that are estimated or as noisy."""
+    return Setting(label, change=Several((*evidence, EstimatedHands(_hand_noise_level(level)))))
 
 
 def _mask_noise(px: float) -> Setting:
@@ -164,7 +98,7 @@ def _inaccurate_masks(px: float) -> Setting:
 
 
 MASK_FAULT_FRACTIONS = (("another object", 0.2), ("another object", 0.4), ("half", 0.2), ("runs over", 0.2))
-"""Faults of masks, and the share of the frames that have them."""
+"""Faults of masks, each with its share of frames."""
 
 
 def _mask_fault(fault: str, share: float) -> Setting:
@@ -175,14 +109,12 @@ CATEGORY_MESHES = {
     "category mesh": OtherObject(),
     "category mesh, size unknown": Several((OtherObject(), ScaleFree())),
     "category mesh, size unknown, hands moderate": Several(
-        (OtherObject(), ScaleFree(), Noisy(replace(NOISE_PRESETS["moderate"], mask_ragged_px=0.0)))
+        (OtherObject(), ScaleFree(), Noisy(_hand_noise_level("moderate")))
     ),
 }
-"""Knowledge of an object without its own mesh; the last is the paper's own setting, footage without CADs."""
-
-
+"""Template meshes in place of the object's own; the last setting is the paper's, footage without CAD models."""
 DEGRADED_INPUT_SETTINGS = _inaccurate_masks(4.0), Setting("size unknown", change=ScaleFree())
-"""Inputs that depth improves though hands are exact."""
+"""Degraded inputs with exact hands, where depth helps."""
 INPUT_ERROR_SETTINGS = (
     Setting("exact"),
     _hand_noise(10.0),
@@ -197,9 +129,7 @@ INPUT_ERROR_SETTINGS = (
         for label in ("category mesh", "category mesh, size unknown, hands moderate")
     ),
 )
-"""The errors that are summed up in README; the first four are run on the test objects, too."""
-
-
+"""Input errors that README summarises; the first four also run on the test objects."""
 DEPARTURE_STEPS = {
     "+ energy scale": "scale",
     "+ optimiser": "optimiser",
@@ -209,19 +139,11 @@ DEPARTURE_STEPS = {
     "+ push": "push",
     "+ pull": "pull",
 }
-"""Departures from the paper's method, in the order in which they are added up: the scale; how the minimum is found; the
-form of the terms. Before them stands the method in millimetres, a thousand times as much push and pull: one reading of
-the printed units.
-"""
-
-
-def _departures(count: int) -> Departures:
-    """Return the first ``count`` steps."""
-    return Departures(**dict.fromkeys(list(DEPARTURE_STEPS.values())[:count], True))
-
-
+"""Departures from the paper's method, in the order in which the ablation adds them: the scale, the search for the
+minimum, the form of the terms. Its first row has push and pull 1000 times as large: the printed units read as
+millimetres."""
 SIMULATED_LANDMARKS, COMMON_DEPTH_SOURCES = SimulatedJoints("landmarks"), ("mono", "realsense")
-"""Evidence that users often have: 2D joints of landmarks; depth of a network, or of a sensor."""
+"""Evidence that users often have: 2D landmarks, and depth from a network or a sensor."""
 ABLATIONS: dict[str, Ablation] = {
     "physical": Ablation(
         "Weights of the physical terms, the paper's λ₂ = λ₃ without the focal length",
@@ -360,10 +282,7 @@ ABLATIONS: dict[str, Ablation] = {
     "scale": Ablation(
         "Scale of the object",
         "known",
-        (
-            Setting("known", change=ScaleKnown()),
-            Setting("free", change=ScaleFree()),
-        ),
+        (Setting("known", change=ScaleKnown()), Setting("free", change=ScaleFree())),
     ),
     "sca": Ablation(
         "Definition of contact: whose points, and at which distance",
@@ -407,7 +326,7 @@ ABLATIONS: dict[str, Ablation] = {
             Setting("one reading of the printed units", {"push": 100.0, "pull": 100.0}),
             Setting("as it is"),
             *(
-                Setting(label, {"departures": _departures(count)})
+                Setting(label, {"departures": Departures(**dict.fromkeys([*DEPARTURE_STEPS.values()][:count], True))})
                 for count, label in enumerate(DEPARTURE_STEPS, start=1)
             ),
             # Hands as given, as in all rows: their correction has an ablation of its own.
@@ -420,7 +339,7 @@ ABLATIONS: dict[str, Ablation] = {
 
 @dataclass(frozen=True)
 class Variant:
-    """One row of a table: what is done with every clip, and where the results go."""
+    """One row of a table: options and changes for every clip, and the folder of the results."""
 
     label: str
     folder: str
@@ -429,24 +348,24 @@ class Variant:
     change: Change
     contact: ContactDefinition
     against: str
-    """Label of the variant that this one is compared with."""
+    """Label of the baseline variant."""
     group: str
     """Name of the line in a plot: the method."""
     step: str
-    """The place on the plot's axis."""
+    """Label on the plot's axis: the setting."""
     system: ExternalSystem | None = None
-    """Whose results these are, where they are not ours."""
+    """Other system that made the results; None: our methods."""
 
     @property
     def method(self) -> str:
-        """The method's name, or the other system's."""
+        """Name of the method or the other system."""
         return self.options.method if self.system is None else self.system.name
 
 
 def method_variants(
     methods: Sequence[str], base: Options, contacts: Sequence[ContactDefinition] = DEFAULT_CONTACT_DEFINITIONS
 ) -> list[Variant]:
-    """Make a variant of each method, by each definition of contact; all but the slow ones where none is named."""
+    """Make a variant of each method (default: ``DEFAULT_METHODS``) by each definition of contact."""
     named: Sequence[str] = methods or DEFAULT_METHODS
     plain = [Variant(m, m, replace(base, method=m), UNCHANGED, contacts[0], REFERENCE_METHOD, m, m) for m in named]
     return by_contact(plain, contacts)
@@ -459,10 +378,10 @@ def ablation_variants(
     contacts: Sequence[ContactDefinition] = DEFAULT_CONTACT_DEFINITIONS,
     ablation: Ablation | None = None,
 ) -> list[Variant]:
-    """Make a variant of each method in each setting of an ablation, by default that of the name in ``ABLATIONS``.
+    """Make a variant of each method in each setting of an ablation (default: ``ABLATIONS[name]``).
 
-    They are measured by each definition of contact, unless the ablation is about these. A setting that changes nothing
-    shares the method's own results, one that another ablation has too shares that one's.
+    Each definition of contact gets variants of its own, unless the ablation compares definitions. A setting without a
+    change shares the method's results, a setting of several ablations those of the first.
     """
     ablation, variants = ablation or ABLATIONS[name], []
     for method in methods or ablation.methods:
@@ -471,9 +390,8 @@ def ablation_variants(
             options = replace(usual, **setting.options)
             same = options == usual and setting.change == UNCHANGED
             folder = method if same else f"{method}+{_setting_folder(name, setting, usual)}"
-            against = (
-                f"{REFERENCE_METHOD}, {setting.label}" if ablation.usual is None else f"{method}, {ablation.usual}"
-            )
+            baseline = (REFERENCE_METHOD, setting.label) if ablation.usual is None else (method, ablation.usual)
+            against = ", ".join(baseline)
             label, contact = f"{method}, {setting.label}", setting.contact or contacts[0]
             variants.append(Variant(label, folder, options, setting.change, contact, against, method, setting.label))
     own = any(setting.contact for setting in ablation.settings)
@@ -481,7 +399,7 @@ def ablation_variants(
 
 
 def by_contact(variants: Sequence[Variant], contacts: Sequence[ContactDefinition]) -> list[Variant]:
-    """Return the variants by each definition of contact, which their labels name where there are several."""
+    """Return the variants by each definition of contact; several definitions are named in the labels."""
     if len(contacts) == 1:
         return [replace(variant, contact=contacts[0]) for variant in variants]
     return [
@@ -497,8 +415,21 @@ def by_contact(variants: Sequence[Variant], contacts: Sequence[ContactDefinition
     ]
 
 
+def hand_source_ablation(sources: Sequence[HandSource]) -> Ablation:
+    """Make an ablation with a setting for each hand source; the first is the baseline.
+
+    Raises ``UsageError`` for two sources of the same name.
+    """
+    names = [source.name for source in sources]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise UsageError(f"--hands must be different names (got {twice} twice)")
+    settings = tuple(Setting(source.name, change=WithHands(source, tuple(sources))) for source in sources)
+    return Ablation("Hands, on the frames that all of them have", names[0], settings)
+
+
 def _setting_folder(name: str, setting: Setting, usual: Options) -> str:
-    """Name the folder of a setting after the first ablation that has one with the same options and change."""
+    """Name the folder of a setting after the first ablation with the same options and change."""
 
     def changed(one: Setting) -> tuple[dict[str, object], Change]:
         return {name: value for name, value in one.options.items() if value != getattr(usual, name)}, one.change
@@ -506,9 +437,5 @@ def _setting_folder(name: str, setting: Setting, usual: Options) -> str:
     every = [(other, one) for other, ablation in ABLATIONS.items() for one in ablation.settings]
     alike = [(other, one) for other, one in every if changed(one) == changed(setting)]
     first, one = (alike or [(name, setting)])[0]
-    return f"{first}-{_slug(one.label)}"
-
-
-def _slug(label: str) -> str:
-    """Turn a label into a part of a folder's name."""
-    return re.sub(r"[^a-z0-9.]+", "-", label.lower().replace("°", " deg")).strip("-")
+    slug = re.sub(r"[^a-z0-9.]+", "-", one.label.lower().replace("°", " deg")).strip("-")
+    return f"{first}-{slug}"

@@ -1,8 +1,6 @@
-"""Scores of many clips made into rows: means with intervals, differences in pairs, best and second best.
+"""Compare the scores of variants over many clips: means and paired differences with intervals, ranks, and a plot.
 
 Intervals of means are by Student's t over groups of clips; other statistics have bootstrap resamples.
-
-An ablation as a picture: a few metrics over its settings, a line for each method, with intervals.
 """
 
 from __future__ import annotations
@@ -18,93 +16,134 @@ from numpy import ndarray
 from scipy.special import stdtrit
 
 from getagrip.bench.ablations import Variant
-from getagrip.bench.grasp_job import GraspClipScores, GraspVariantScore
+from getagrip.bench.job import ClipScores
 from getagrip.io import files
 from getagrip.io.terminal import format_count
 from getagrip.metrics.evaluate.metric import ADD_SYM, METRICS, SCA, TRUE_SCA, Group, Metric
 
 PAPER_METRIC_GROUPS: tuple[Group, ...] = ("paper",)
+N_BOOTSTRAP_RESAMPLES = 2000
+CONFIDENCE_LEVEL = 0.95
+MIN_INTERVAL_CLIPS = 5
+"""Minimum number of clips for an interval: the interval of two would just span both values."""
+ABLATION_PLOT_METRICS = ("iou", "add_sym_success", "sca", "sca_add_sym", "sca_iou_80")
+"""Names of the metrics of a plot."""
+N_PANELS_PER_ROW = 3
+
+
+@dataclass(frozen=True)
+class GraspVariantScore:
+    """The score of a variant on a clip."""
+
+    variant: str
+    """The variant's folder."""
+    metrics: dict[str, float]
+    """Values by metric; empty where the variant failed."""
+    seconds: float
+    energy: float
+    ambiguous: bool
+    status: str
+    failed: bool = False
+    again: str = ""
+    """Reason why an earlier result was replaced."""
+    serious: tuple[str, ...] = ()
+    """Names of the checks with serious findings."""
+    noted: tuple[str, ...] = ()
+    """Names of the checks with other findings."""
+    probability_right: float | None = None
+    """Probability that the poses are right in the hand; None without a calibrated one."""
+    probability_right_in_camera: float | None = None
+    keep: float | None = None
+    """Largest ``--keep`` that keeps the result, in the hand."""
+    keep_in_camera: float | None = None
+
+
+@dataclass(frozen=True)
+class GraspClipScores(ClipScores):
+    """The scores of all variants on a clip."""
+
+    category: str = ""
+    subject: str = ""
+    """Person whose hand it is; empty where unknown."""
+    has_truth: bool = False
+    """True if the clip has ground truth."""
+    scores: tuple[GraspVariantScore, ...] = ()
+    made: int = 0
+    """Number of new results."""
 
 
 def mean_columns(groups: Sequence[Group] = PAPER_METRIC_GROUPS) -> tuple[Metric, ...]:
-    """Return the metrics of some groups that are shown as means."""
+    """Return the metrics of some groups that tables show as means."""
     return tuple(m for m in METRICS.working().values() if _is_in_groups(m, groups) and m.unit == "%" and not m.folded)
 
 
 def folded_columns() -> tuple[Metric, ...]:
-    """Return the means that pages fold away."""
+    """Return the metrics whose means pages fold away."""
     return tuple(metric for metric in METRICS.working().values() if metric.folded)
 
 
 def error_columns(groups: Sequence[Group] = PAPER_METRIC_GROUPS) -> tuple[Metric, ...]:
-    """Return the metrics that are shown as medians: those of some groups, and always the paper's."""
-    return tuple(
-        m for m in METRICS.working().values() if _is_in_groups(m, (*groups, *PAPER_METRIC_GROUPS)) and m.unit != "%"
-    )
+    """Return the metrics that tables show as medians: of some groups, and always the paper's."""
+    groups = (*groups, *PAPER_METRIC_GROUPS)
+    return tuple(m for m in METRICS.working().values() if _is_in_groups(m, groups) and m.unit != "%")
 
 
 def _is_in_groups(metric: Metric, groups: Sequence[Group]) -> bool:
     return bool(metric.label) and metric.group in groups
 
 
-N_BOOTSTRAP_RESAMPLES = 2000
-CONFIDENCE_LEVEL = 0.95
-MIN_INTERVAL_CLIPS = 5
-"""Fewest clips with an interval: that of two would just span both values."""
-
-
 @dataclass(frozen=True)
 class ComparisonRow:
-    """A variant over some clips."""
+    """The scores of a variant over some clips."""
 
     variant: Variant
     values: dict[str, MeanEstimate]
     """Means by label of the metric, 0 to 1."""
     differences: dict[str, MeanEstimate]
-    """Mean differences in pairs from the variant that it is compared with; empty for that variant itself."""
+    """Mean paired differences from the baseline variant, by label; empty for the baseline."""
     medians: dict[str, float]
     """Medians of ``error_columns``, by label, over clips on which the method did not fail."""
     ambiguous: int
-    """Results marked ambiguous."""
+    """Number of ambiguous results."""
     wrong: int
-    """Results whose pose is wrong, up to symmetries."""
+    """Number of results with a wrong pose, up to symmetries."""
     wrong_ambiguous: int
-    """Number of these that are marked ambiguous."""
+    """Number of wrong, ambiguous results."""
     serious: dict[str, int]
-    """On how many clips each check found something serious; the checks that found anything."""
+    """Number of clips with a serious finding, by check."""
     flagged: int
-    """Results with a serious finding."""
+    """Number of results with a serious finding."""
     flagged_right: int
-    """Number of these whose pose is right."""
+    """Number of flagged results with a right pose."""
     noted: dict[str, int]
-    """Counts as in ``serious``, of findings that are not."""
+    """Number of clips with a note, by check."""
     seconds: float
-    """Median for a clip."""
+    """Median time of a clip [s]."""
     failed: int
     tried: int
 
     @property
     def has_failed(self) -> bool:
-        """True if the method has failed on every clip, so that the row has no values."""
+        """True if the method failed on every clip: the row has no values."""
         return self.failed == self.tried > 0
 
 
 @dataclass(frozen=True)
 class ComparisonTable:
-    """All variants over the same clips: all of them, or those of a category."""
+    """The rows of all variants over the same clips: all clips, or a category's."""
 
     title: str
     clips: int
     columns: tuple[Metric, ...]
-    """Those for which there are values."""
+    """Metrics with values."""
     folded: tuple[Metric, ...]
-    """Metrics of ``folded_columns`` that can be known; none for results made before they were measured."""
+    """Metrics of ``folded_columns`` that the clips allow."""
     rows: tuple[ComparisonRow, ...]
 
     def ranks(self, column: Metric) -> list[int]:
         """Rank the printed values of a column: 1 for the best, 2 for the second best, else 0.
 
-        Rows are ranked among those with the same definition of contact; where all values are equal, none is best.
+        Rows are ranked among rows of the same definition of contact; equal values have no best one.
         """
         shown = [round(100.0 * row.values[column.label].mean, 1) for row in self.rows]
         ranks = []
@@ -122,61 +161,54 @@ def compare_variants(
     shown: Sequence[Group] = PAPER_METRIC_GROUPS,
     part_of: Callable[[GraspClipScores], str] = lambda clip: clip.category,
 ) -> list[ComparisonTable]:
-    """Make a table over all clips, and one for each part of them, by default a category, where there are several.
+    """Make a table over all clips, and one for each of several parts (default: categories).
 
-    ``shown`` are the groups of metrics that are columns.
+    ``shown`` are the groups of metrics in the columns.
     """
     scores = [clip for clip in scores if clip.scores]
     if not scores:
         return []
-    of = independent_groups(scores)
-    tables = [_comparison_table("all", scores, variants, of, shown)]
+    groups = independent_groups(scores)
+    tables = [_comparison_table("all", scores, variants, groups, shown)]
     parts = sorted({part_of(clip) for clip in scores})
     for part in parts if len(parts) > 1 else []:
         own = [n for n, clip in enumerate(scores) if part_of(clip) == part]
-        tables.append(_comparison_table(part, [scores[n] for n in own], variants, [of[n] for n in own], shown))
+        tables.append(_comparison_table(part, [scores[n] for n in own], variants, [groups[n] for n in own], shown))
     return tables
 
 
 def independent_groups(scores: Sequence[GraspClipScores]) -> list[str]:
-    """Return the groups of clips that are independent.
-
-    Groups are subjects where every clip has one and there are several, else clips.
-    """
+    """Return the independent group of each clip: its subject if all clips have one of several, else its name."""
     subjects = [clip.subject for clip in scores]
     return subjects if all(subjects) and len(set(subjects)) > 1 else [clip.name for clip in scores]
 
 
 def _comparison_table(
-    title: str,
-    scores: Sequence[GraspClipScores],
-    variants: Sequence[Variant],
-    of: Sequence[str],
+    title: str, scores: Sequence[GraspClipScores], variants: Sequence[Variant], groups: Sequence[str],
     shown: Sequence[Group],
-) -> ComparisonTable:
+) -> ComparisonTable:  # fmt: skip
     means = (*mean_columns(shown), *folded_columns())
     cells = {v.label: {column.label: _column_values(scores, v, column) for column in means} for v in variants}
-    there = tuple(
-        c for c in mean_columns(shown) if any(not np.isnan(values[c.label]).all() for values in cells.values())
-    )
+    known = tuple(c for c in mean_columns(shown) if not all(np.isnan(row[c.label]).all() for row in cells.values()))
     folded = tuple(c for c in folded_columns() if not c.needs_truth or any(clip.has_truth for clip in scores))
+    labels = [column.label for column in (*known, *folded)]
     rows = []
     for variant in variants:
         own, other = cells[variant.label], cells.get(variant.against)
-        compared = other is not None and variant.label != variant.against
         tried = [score for clip in scores if (score := _score_of_variant(clip, variant))]
         done = [score for score in tried if not score.failed]
         wrong = [score for score in done if _is_correct_pose(score, variant) is False]
         errors = {
             e.label: [score.metrics.get(e.key(variant.contact), np.nan) for score in done] for e in error_columns(shown)
         }
+        differences = dict[str, MeanEstimate]()
+        if other is not None and variant.label != variant.against:
+            differences = {label: estimate_mean(own[label] - other[label], groups) for label in labels}
         rows.append(
             ComparisonRow(
                 variant,
-                values={c.label: estimate_mean(own[c.label], of) for c in (*there, *folded)},
-                differences={c.label: estimate_mean(own[c.label] - other[c.label], of) for c in (*there, *folded)}
-                if other is not None and compared
-                else {},
+                values={label: estimate_mean(own[label], groups) for label in labels},
+                differences=differences,
                 medians={label: _nan_median(values) for label, values in errors.items()},
                 ambiguous=sum(score.ambiguous for score in done),
                 wrong=len(wrong),
@@ -190,7 +222,7 @@ def _comparison_table(
                 tried=len(tried),
             )
         )
-    return ComparisonTable(title, len(scores), there, folded, tuple(rows))
+    return ComparisonTable(title, len(scores), known, folded, tuple(rows))
 
 
 def _score_of_variant(clip: GraspClipScores, variant: Variant) -> GraspVariantScore | None:
@@ -198,22 +230,21 @@ def _score_of_variant(clip: GraspClipScores, variant: Variant) -> GraspVariantSc
 
 
 def _is_correct_pose(score: GraspVariantScore, variant: Variant) -> bool | None:
-    """Return whether the pose is right up to symmetries; None where it is not known."""
+    """Return whether the pose is right up to symmetries; None where unknown."""
     success = score.metrics.get(ADD_SYM.key(variant.contact), np.nan)
     return None if np.isnan(success) else bool(success)
 
 
 def _count_names(names: Sequence[tuple[str, ...]]) -> dict[str, int]:
-    """How often each name occurs, the most frequent first."""
+    """Count each name, the most frequent first."""
     return dict(Counter(name for some in names for name in some).most_common())
 
 
 def _column_values(scores: Sequence[GraspClipScores], variant: Variant, column: Metric) -> Float[ndarray, "n"]:
-    """Return a column's value for each clip.
+    """Return a column's value for each clip, NaN where unknown.
 
-    It is zero, the worst, where the method failed, so that failures improve no score. Where it failed on all clips none
-    is known: a zero would look as if it had been measured. It is known of none where a result lacks it that was made
-    before it was measured: the others' mean would mislead.
+    A failed clip has the worst value, 0, so that failures improve no score. All values are NaN if the method failed on
+    every clip (0 would look measured), or if a result was evaluated before the metric existed (a mean would mislead).
     """
     key, values = column.key(variant.contact), np.full(len(scores), np.nan)
     if not any(key in score.metrics for clip in scores for score in clip.scores):
@@ -232,14 +263,14 @@ def _column_values(scores: Sequence[GraspClipScores], variant: Variant, column: 
 
 
 def _nan_median(values: Sequence[float]) -> float:
-    """Return the median of the values that are known (not NaN); NaN if none is."""
+    """Return the median of the values that are not NaN; NaN if none is."""
     known = [value for value in values if not np.isnan(value)]
     return float(np.median(known)) if known else float("nan")
 
 
 @dataclass(frozen=True)
 class MeanEstimate:
-    """A mean over clips with its interval; NaN where there is nothing to average."""
+    """A mean over clips with its interval; NaN without values."""
 
     mean: float
     low: float
@@ -248,10 +279,10 @@ class MeanEstimate:
 
 
 def bootstrap_resamples(groups: Sequence[str]) -> Float[ndarray, "B n"]:
-    """Draw how often each clip is in each bootstrap resample.
+    """Draw the count of each clip in each bootstrap resample.
 
-    Clips of the same group (subject) are drawn together, as many groups as there are: they are no independent
-    evidence. With a group for each clip this is the plain bootstrap.
+    Clips of a group (subject) are drawn together, since they are not independent. With a group for each clip this is
+    the plain bootstrap.
     """
     names, member = np.unique(np.asarray(groups), return_inverse=True)
     rng = np.random.default_rng(0)
@@ -262,11 +293,11 @@ def bootstrap_resamples(groups: Sequence[str]) -> Float[ndarray, "B n"]:
 def estimate_mean(values: Float[ndarray, "n"], groups: Sequence[str]) -> MeanEstimate:
     """Estimate the mean of the values that are not NaN, with an interval that holds for few groups.
 
-    Clips of a group (subject) are no independent evidence: the interval is Student's t with one degree of freedom less
-    than there are groups, and the standard error that of a ratio, from the groups' sums of deviations from the mean.
+    Clips of a group (subject) are not independent: the interval is Student's t with one degree of freedom less than
+    the number of groups, and the standard error that of a ratio, from the groups' sums of deviations from the mean.
 
-    There is no interval for fewer than ``MIN_INTERVAL_CLIPS`` values, where all are equal (100 % of ten clips is no certainty), nor
-    where all are of one group.
+    The interval is NaN for fewer than ``MIN_INTERVAL_CLIPS`` values, for equal values (100 % of ten clips is no
+    certainty), and for a single group.
     """
     known = ~np.isnan(values)
     n = int(known.sum())
@@ -284,14 +315,8 @@ def estimate_mean(values: Float[ndarray, "n"], groups: Sequence[str]) -> MeanEst
     return MeanEstimate(mean, mean - wide, mean + wide, n)
 
 
-ABLATION_PLOT_METRICS = ("iou", "add_sym_success", "sca", "sca_add_sym", "sca_iou_80")
-"""Names of the metrics drawn."""
-N_PANELS_PER_ROW = 3
-"""Panels side by side."""
-
-
 def plot_ablation(table: ComparisonTable, title: str, path: Path) -> None:
-    """Draw a table's rows into a PNG."""
+    """Draw a few metrics over an ablation's settings into a PNG: a line for each method, with intervals."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -319,13 +344,8 @@ def plot_ablation(table: ComparisonTable, title: str, path: Path) -> None:
             panel.plot(x, mean, linewidth=1, alpha=0.5, color=dots[0].get_color())
         if column is SCA and TRUE_SCA in table.columns:
             rows = [row for row in table.rows if row.variant.group == methods[0]]
-            panel.plot(
-                range(len(rows)),
-                _percent_with_interval(rows, TRUE_SCA)[0],
-                "k:",
-                linewidth=1,
-                label="SCA of the ground truth",
-            )
+            true = _percent_with_interval(rows, TRUE_SCA)[0]
+            panel.plot(range(len(rows)), true, "k:", linewidth=1, label="SCA of the ground truth")
             panel.legend(handles=panel.lines[-1:], fontsize=8, frameon=False)
         bottom, top = panel.get_ylim()
         panel.set_ylim(max(bottom, -2.0), min(top, 102.0))
@@ -337,16 +357,14 @@ def plot_ablation(table: ComparisonTable, title: str, path: Path) -> None:
     for panel in panels[len(columns) :]:
         panel.axis("off")
     panels[len(columns)].legend(*panels[0].get_legend_handles_labels(), fontsize=9, frameon=False, loc="center left")
-    words = title.replace("`", "")
-    figure.suptitle(
-        f"{words} ({format_count(table.clips, 'clip')}, {100 * CONFIDENCE_LEVEL:.0f} % intervals)", fontsize=10
-    )
+    about = f"{format_count(table.clips, 'clip')}, {100 * CONFIDENCE_LEVEL:.0f} % intervals"
+    figure.suptitle(f"{title.replace('`', '')} ({about})", fontsize=10)
     with files.new_file(path) as part:
         figure.savefig(part, dpi=130)
     plt.close(figure)
 
 
 def _percent_with_interval(rows: Sequence[ComparisonRow], column: Metric) -> Float[ndarray, "3 n"]:
-    """Means and ends of the intervals of a column."""
+    """Return means and ends of the intervals of a column, in per cent."""
     values = [row.values[column.label] for row in rows]
     return 100.0 * np.array([(value.mean, value.low, value.high) for value in values]).T

@@ -1,7 +1,4 @@
-"""One sequence of a benchmark of segments: its grasps found without its truth, forwards and in reverse, and scored.
-
-``getagrip bench dexycb-segments``: grasps found in whole sequences without 3D labels of the object.
-"""
+"""``getagrip bench dexycb-segments``: detect grasps in uncut sequences without 3D labels, forwards and in reverse."""
 
 from __future__ import annotations
 
@@ -30,11 +27,15 @@ from getagrip.synthetic.noise import NOISE_PRESETS, perturbed
 
 TIME_DIRECTIONS = ("forwards", "in reverse")
 SEGMENT_GRASP_DEFINITION = Definition(contact=0.010)
-"""Definition of a stable grasp, as that of the truth (``readers.datasets.dexycb.dexycb_clips``)."""
+"""Definition of a stable grasp, equal to the truth's (``readers.datasets.dexycb.dexycb_clips``)."""
 SEGMENT_VARIANTS = {"fits": "fits and Eq. 2", "motion": "first to last motion"}
-"""How grasps are found: ours; and what the image motion alone says, with no fit."""
+"""Ways to detect grasps: ours; and a baseline by image motion alone, without a fit."""
 SEGMENT_CODE = ("timelines/detect", "bench/segments.py")
-"""Code that what is found depends on, besides that of a reconstruction."""
+"""Code, besides a reconstruction's, that detected segments depend on."""
+SEGMENT_TABLE_HEADINGS = ("", "sequences", "grasps", "tIoU", "F1@.5", "F1@.7", "start", "end", "missed", "false")
+SEGMENT_CSV_COLUMNS = ("sequence", "direction", "variant", "true", "found", "tiou", "start", "end")
+N_F1_RESAMPLES = 400
+"""Number of bootstrap resamples of F1, which is not a mean."""
 Span = tuple[int, int]
 """First and last frame, both included."""
 
@@ -44,14 +45,14 @@ class SequenceScores(ClipScores):
     """The scores of a sequence."""
 
     by: dict[tuple[str, str], MatchedSegments] = field(default_factory=dict)
-    """By direction and variant; empty where it failed."""
+    """Matches by direction and variant; empty where the sequence failed."""
     seconds: float = 0.0
-    """Time of the process for one direction [s]; the mean of both."""
+    """CPU time of one direction, mean of both [s]."""
 
 
 @dataclass(frozen=True)
 class SequenceTrial(Trial[SequenceScores]):
-    """A sequence to find the grasps of; a file for it goes into ``results``."""
+    """A sequence whose grasps are to be detected; its record goes into ``results``."""
 
     noise: str
     """Key of ``NOISE_PRESETS``: the noise of hands and masks."""
@@ -61,33 +62,31 @@ class SequenceTrial(Trial[SequenceScores]):
         return SequenceScores(self.name, failure=why, trace=trace)
 
     def scores(self) -> SequenceScores:
-        by, seconds = {}, []
-        of = provenance_of(self.sample.folder, self.options, *SEGMENT_CODE)
-        record, again = load_or_compute(
-            self.results / f"{self.name}.json", of, self.overwrite, partial(_find_in_both_directions, self)
-        )
-        for direction in TIME_DIRECTIONS:
-            here = record[direction]
-            seconds.append(float(here["seconds"]))
-            for variant in SEGMENT_VARIANTS:
-                by[direction, variant] = match_segments(_parse_spans(here["true"]), _parse_spans(here[variant]))
+        path, of = self.results / f"{self.name}.json", provenance_of(self.sample.folder, self.options, *SEGMENT_CODE)
+        record, again = load_or_compute(path, of, self.overwrite, partial(_find_in_both_directions, self))
+        by = {
+            (direction, variant): match_segments(*(_parse_spans(record[direction][key]) for key in ("true", variant)))
+            for direction in TIME_DIRECTIONS
+            for variant in SEGMENT_VARIANTS
+        }
+        seconds = [float(record[direction]["seconds"]) for direction in TIME_DIRECTIONS]
         return SequenceScores(self.name, by, float(np.mean(seconds)), again=again)
 
 
 def reversed_in_time(clip: Clip, masks: Masks) -> tuple[Clip, Masks]:
-    """Reverse a clip in time; its truth goes with it, its segments do not."""
+    """Reverse a clip with its truth in time, without its segments."""
     index = np.arange(len(clip))[::-1]
     back = clip.take(index)
     return replace(back, frames=clip.frames, times=None, segments=(), name=f"{clip.name}--reversed"), masks.take(index)
 
 
 def reverse_spans(spans: list[Span], frames: int) -> list[Span]:
-    """Return the intervals of a sequence, in its reverse."""
+    """Return the intervals of a sequence in its reverse."""
     return [(frames - 1 - last, frames - 1 - first) for first, last in reversed(spans)]
 
 
 def _find_in_both_directions(trial: SequenceTrial) -> Json:
-    """Return the true and the found segments, by direction."""
+    """Return the true and the detected intervals by direction, as a record holds them."""
     from getagrip.timelines.detect.detect_segments import find_segments, moving_runs
 
     clip = read_clip(trial.sample.folder)
@@ -119,11 +118,11 @@ def _parse_spans(value: list[list[int]]) -> list[Span]:
 
 @dataclass(frozen=True)
 class SegmentMatch:
-    """A true interval, and the found one that overlaps it most; each found one is matched once.
+    """A true interval, matched with the detected one of the largest overlap; each detected one is matched once.
 
     Attributes:
-        tiou: intersection over union of their frames; 0 where nothing overlaps it.
-        start, end: found minus true frame; None where nothing overlaps it.
+        tiou: intersection over union of their frames; 0 without a match.
+        start, end: detected minus true frame; None without a match.
     """
 
     tiou: float
@@ -136,21 +135,21 @@ class MatchedSegments:
     """The intervals of a sequence."""
 
     matches: tuple[SegmentMatch, ...]
-    """One for each true interval."""
+    """A match for each true interval."""
     found: int
-    """How many were found."""
+    """Number of detected intervals."""
 
 
 @dataclass(frozen=True)
 class SegmentSummary:
-    """Over sequences. NaN where there is nothing to average.
+    """Scores over all sequences; NaN without values.
 
     Attributes:
-        tiou: mean over true intervals, 0 for those that nothing overlaps.
-        f1: of intervals that count as found from a tIoU of .5 and .7 on, over all sequences together.
-        start, end: mean absolute errors of those that something overlaps [frames].
-        missed: true intervals that nothing overlaps.
-        false: sequences without a true interval in which some were found, and how many have none.
+        tiou: mean over true intervals, 0 without a match.
+        f1: F1 of detection over all sequences together, at tIoU thresholds of .5 and .7.
+        start, end: mean absolute errors over matches [frames].
+        missed: number of true intervals without a match.
+        false: number of sequences with false detections, and of all sequences without true intervals.
     """
 
     sequences: int
@@ -170,7 +169,7 @@ def span_iou(a: Span, b: Span) -> float:
 
 
 def match_segments(true: Sequence[Span], found: Sequence[Span]) -> MatchedSegments:
-    """Match true and found intervals, those that overlap most first."""
+    """Match true and detected intervals greedily, the largest overlap first."""
     pairs = sorted(((span_iou(a, b), i, j) for i, a in enumerate(true) for j, b in enumerate(found)), reverse=True)
     partner: dict[int, int] = {}
     for overlap, i, j in pairs:
@@ -211,16 +210,9 @@ def _mean_or_nan(values: np.ndarray) -> float:
     return float(np.mean(values)) if len(values) else float("nan")
 
 
-SEGMENT_TABLE_HEADINGS = ("", "sequences", "grasps", "tIoU", "F1@.5", "F1@.7", "start", "end", "missed", "false")
-SEGMENT_CSV_COLUMNS = ("sequence", "direction", "variant", "true", "found", "tiou", "start", "end")
-"""Columns of the table of sequences."""
-N_F1_RESAMPLES = 400
-"""Bootstrap resamples of F1, which is no mean."""
-
-
 @dataclass(frozen=True)
 class SegmentBenchmark(Benchmark[SequenceScores]):
-    """A benchmark that finds the grasps of every sequence."""
+    """A benchmark that detects the grasps of every sequence."""
 
     source: DexYcbSequences
     options: Options
@@ -239,8 +231,9 @@ class SegmentBenchmark(Benchmark[SequenceScores]):
         for label, matched in rows.items():
             subjects = [subject_from_clip_name(one.name) for one in scores for _ in range(len(matched) // len(scores))]
             grid.append((label, *_segment_cells(matched, subjects)))
+        preset = self.source.preset
         about = [
-            f"{self.source.title}: {format_count(len(scores), 'sequence')}; noise of hands and masks: {self.source.preset}",
+            f"{self.source.title}: {format_count(len(scores), 'sequence')}; noise of hands and masks: {preset}",
             f"a stable grasp: {SEGMENT_GRASP_DEFINITION.description}",
             "tIoU: mean over true grasps, missed ones 0; F1: grasps with a tIoU of at least .5, .7; start, end: mean "
             "absolute errors of those that something overlaps, in frames; false: sequences without a grasp in which "
@@ -251,27 +244,24 @@ class SegmentBenchmark(Benchmark[SequenceScores]):
         ]
         text = markdown_page("Grasps found without 3D labels", grid, about)
         content = {
-            "noise": self.source.preset,
+            "noise": preset,
             "rows": {label: asdict(summarise_segments(own)) for label, own in rows.items()},
         }
-        return BenchmarkPage(
-            self.source.preset, text, {".md": text}, {"-sequences.csv": _segment_csv_rows(scores)}, content
-        )
+        return BenchmarkPage(preset, text, {".md": text}, {"-sequences.csv": _segment_csv_rows(scores)}, content)
 
 
 def _segment_csv_rows(scores: Sequence[SequenceScores]) -> list[Sequence[object]]:
-    """Every sequence's numbers, the headings first."""
     lines: list[Sequence[object]] = [SEGMENT_CSV_COLUMNS]
     for one in scores:
-        for (direction, variant), of in one.by.items():
-            for match in of.matches or (None,):
+        for (direction, variant), matched in one.by.items():
+            for match in matched.matches or (None,):
                 numbers = ("", "", "") if match is None else (match.tiou, match.start, match.end)
-                lines.append((one.name, direction, variant, len(of.matches), of.found, *numbers))
+                lines.append((one.name, direction, variant, len(matched.matches), matched.found, *numbers))
     return lines
 
 
 def _matched_by_variant(scores: Sequence[SequenceScores]) -> dict[str, list[MatchedSegments]]:
-    """Return the rows of the table: every variant, in each direction and in both."""
+    """Return the rows of the table: every variant in each direction, and in both."""
     out = {}
     for variant, label in SEGMENT_VARIANTS.items():
         for directions in (TIME_DIRECTIONS[:1], TIME_DIRECTIONS[1:], TIME_DIRECTIONS):
@@ -281,31 +271,20 @@ def _matched_by_variant(scores: Sequence[SequenceScores]) -> dict[str, list[Matc
 
 
 def _segment_cells(rows: Sequence[MatchedSegments], subjects: Sequence[str]) -> tuple[str, ...]:
-    """Return a row's numbers as text."""
-    all_ = summarise_segments(rows)
-    low, high = _bootstrap_interval(rows, subjects, lambda s: s.tiou)
-    low1, high1 = _bootstrap_interval(rows, subjects, lambda s: s.f1[0])
-    return (
-        str(all_.sequences),
-        str(all_.true),
-        f"{all_.tiou:.3f} [{low:.3f}, {high:.3f}]",
-        f"{all_.f1[0]:.3f} [{low1:.3f}, {high1:.3f}]",
-        f"{all_.f1[1]:.3f}",
-        f"{all_.start:.1f}",
-        f"{all_.end:.1f}",
-        str(all_.missed),
-        f"{all_.false[0]} of {all_.false[1]}",
-    )
+    s = summarise_segments(rows)
+    tiou = "{:.3f} [{:.3f}, {:.3f}]".format(s.tiou, *_bootstrap_interval(rows, subjects, lambda each: each.tiou))
+    f1 = "{:.3f} [{:.3f}, {:.3f}]".format(s.f1[0], *_bootstrap_interval(rows, subjects, lambda each: each.f1[0]))
+    errors = (f"{s.start:.1f}", f"{s.end:.1f}", str(s.missed), f"{s.false[0]} of {s.false[1]}")
+    return (str(s.sequences), str(s.true), tiou, f1, f"{s.f1[1]:.3f}", *errors)
 
 
 def _bootstrap_interval(
     rows: Sequence[MatchedSegments], subjects: Sequence[str], statistic: Callable[[SegmentSummary], float]
 ) -> tuple[float, float]:
-    """Return the interval of a statistic when subjects are resampled with all their sequences."""
+    """Return the bootstrap interval of a statistic; subjects are resampled with all their sequences."""
     values = []
     for weights in bootstrap_resamples(subjects)[:N_F1_RESAMPLES]:
-        values.append(
-            statistic(summarise_segments([row for row, n in zip(rows, weights, strict=True) for _ in range(int(n))]))
-        )
+        resample = [row for row, n in zip(rows, weights, strict=True) for _ in range(int(n))]
+        values.append(statistic(summarise_segments(resample)))
     low, high = np.nanquantile(values, [0.025, 0.975])
     return float(low), float(high)

@@ -1,9 +1,4 @@
-"""Comparisons as tables: Markdown for people, CSV for scripts, LaTeX as in the paper, and a table for the terminal.
-
-Numbers that others printed for the parts of a benchmark, in a table beside ours.
-
-The paper's dataset tables: how long stable grasps last, category by category, and what a dataset has.
-"""
+"""Tables of comparisons (Markdown, CSV, LaTeX, terminal, JSON), beside published numbers; and of datasets' grasps."""
 
 from __future__ import annotations
 
@@ -18,11 +13,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from getagrip.bench.ablations import Variant
-from getagrip.bench.comparison import CONFIDENCE_LEVEL, ComparisonTable, MeanEstimate
-from getagrip.bench.grasp_job import GraspClipScores
+from getagrip.bench.comparison import CONFIDENCE_LEVEL, ComparisonRow, ComparisonTable, GraspClipScores, MeanEstimate
 from getagrip.errors import InputError
 from getagrip.io.terminal import format_count, make_table, markdown_table
-from getagrip.io.terminal import markdown_table as table_lines
 from getagrip.readers.datasets.epic.epic_tables import EpicGrasp, numbering_rate, subject_of
 from getagrip.stable_grasps.grasp_lists import CLIP_NAME_SEPARATOR, ListedGrasp
 
@@ -32,21 +25,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MarkupStyle:
-    """How a page marks the best value, the second best, and an interval."""
+    """The markup of the best value, the second best, and an interval."""
 
     best: str
     second: str
     interval: str
     symbols: Mapping[str, str] = field(default_factory=dict)
-    """Replacements of letters that the page cannot hold."""
+    """Replacements of characters with a meaning in the markup."""
 
     def cell(self, value: str, rank: int, interval: str) -> str:
-        """Write a value with its mark and its interval."""
+        """Return a value with the markup of its rank and interval."""
         marked = {1: self.best, 2: self.second}.get(rank, "{}").format(self.text(value))
         return marked + (self.interval.format(interval) if interval else "")
 
     def text(self, text: str) -> str:
-        """Return plain text on the page."""
+        """Escape plain text."""
         return "".join(self.symbols.get(letter, letter) for letter in text)
 
 
@@ -58,6 +51,12 @@ MARKDOWN_STYLE = MarkupStyle("**{}**", "<u>{}</u>", " <sub>{}</sub>")
 LATEX_STYLE = MarkupStyle(r"\textbf{{{}}}", r"\underline{{{}}}", r" {{\tiny {}}}", LATEX_SYMBOLS)
 TERMINAL_STYLE = MarkupStyle("[bold]{}[/]", "[u]{}[/]", "\n[dim]{}[/]")
 
+ALL_PARTS_LABEL = "all"
+"""Row of the mean over all parts."""
+Fps = Literal["paper", "true"]
+PAPER_FPS = 50.0
+"""Frame rate by which the paper divides all of EPIC-Grasps' durations."""
+ALL_CATEGORIES_ROW = "All"
 SETTINGS_TITLE = "How it was made, and how to read it"
 DIFFERENCES_TITLE = "Differences, clip by clip; the intervals are of single cells, not corrected for their number"
 MEDIANS_TITLE = (
@@ -66,28 +65,28 @@ MEDIANS_TITLE = (
 )
 FINDINGS_TITLE = "Results with serious findings, the right ones among them, and the checks"
 CATEGORIES_TITLE = "Each category"
-"""Titles of what a page folds away."""
+"""Titles of folded parts of a page."""
+ROW_COUNTS = (
+    "medians", "ambiguous", "wrong", "wrong_ambiguous", "serious", "flagged", "flagged_right", "noted", "seconds",
+    "failed",
+)  # fmt: skip
+"""Fields of a row in JSON, besides its estimates."""
 FAILED_CELL = "failed"
-"""In place of numbers, of a method that has failed on every clip."""
+"""Cell of a method that failed on every clip."""
 
 
-def _format_percent(share: float) -> str:
-    """Write a share in per cent."""
-    return "–" if math.isnan(share) else f"{100.0 * share:.1f}"
+def _format_number(number: float, digits: int = 1) -> str:
+    return "–" if math.isnan(number) else f"{number:.{digits}f}"
 
 
 def _format_interval(value: MeanEstimate) -> str:
-    """Write the interval of a share in per cent; nothing where there is none."""
+    """Format the interval of a share, in per cent; empty for NaN."""
     return "" if math.isnan(value.low) else f"[{100.0 * value.low:.0f}, {100.0 * value.high:.0f}]"
 
 
 def _format_difference(share: float) -> str:
-    """Write a difference of shares, with its sign."""
+    """Format a difference of shares, in per cent, with its sign."""
     return "–" if math.isnan(share) else f"{100.0 * share:+.1f}".replace("-", "−")
-
-
-def _format_seconds(value: float) -> str:
-    return "–" if math.isnan(value) else f"{value:.2f}"
 
 
 def _table_body(table: ComparisonTable, style: MarkupStyle) -> list[list[str]]:
@@ -98,9 +97,9 @@ def _table_body(table: ComparisonTable, style: MarkupStyle) -> list[list[str]]:
         cells = [style.text(row.variant.label + (f" ({row.failed} failed)" if row.failed else ""))]
         for column in table.columns:
             value = row.values[column.label]
-            shown = FAILED_CELL if row.has_failed else _format_percent(value.mean)
+            shown = FAILED_CELL if row.has_failed else _format_number(100.0 * value.mean)
             cells.append(style.cell(shown, ranks[column.label][n], _format_interval(value)))
-        rows.append([*cells, _format_seconds(row.seconds)])
+        rows.append([*cells, _format_number(row.seconds, 2)])
     return rows
 
 
@@ -109,7 +108,7 @@ def _table_headings(table: ComparisonTable) -> list[str]:
 
 
 def _difference_rows(table: ComparisonTable, style: MarkupStyle) -> list[list[str]]:
-    """Headings and rows of the differences in pairs, unmarked: intervals are not corrected for their number."""
+    """Return headings and rows of paired differences, unmarked: intervals are not corrected for their number."""
     columns = [column for column in table.columns if column.ranked]
     rows = [["", *(column.label for column in columns)]]
     for row in table.rows:
@@ -124,26 +123,23 @@ def _difference_rows(table: ComparisonTable, style: MarkupStyle) -> list[list[st
 
 
 def _error_rows(table: ComparisonTable, style: MarkupStyle) -> list[list[str]]:
-    """Headings and rows of the means that are folded away, of the medians, and of what is marked ambiguous."""
+    """Return headings and rows of folded means, medians, and counts of ambiguous results."""
     labels = [label for label in table.rows[0].medians if not all(math.isnan(row.medians[label]) for row in table.rows)]
     rows = [["", *(f"{column.label}, %" for column in table.folded), *labels, "ambiguous", "of wrong poses"]]
     for row in table.rows:
         means = [row.values[column.label] for column in table.folded]
         shares = [
-            style.cell(FAILED_CELL if row.has_failed else _format_percent(mean.mean), 0, _format_interval(mean))
+            style.cell(FAILED_CELL if row.has_failed else _format_number(100.0 * mean.mean), 0, _format_interval(mean))
             for mean in means
         ]
-        medians = [
-            FAILED_CELL if row.has_failed else "–" if math.isnan(row.medians[label]) else f"{row.medians[label]:.1f}"
-            for label in labels
-        ]
+        medians = [FAILED_CELL if row.has_failed else _format_number(row.medians[label]) for label in labels]
         marked = [f"{row.ambiguous} of {table.clips}", f"{row.wrong_ambiguous} of {row.wrong}"]
         rows.append([style.text(row.variant.label), *shares, *medians, *marked])
     return rows
 
 
 def _finding_rows(table: ComparisonTable, style: MarkupStyle) -> list[list[str]]:
-    """Return headings and rows of the number of results that each check flags (docs/checks.md)."""
+    """Return headings and rows of the number of findings of each check (docs/checks.md)."""
     rows = [["", "flagged", "right ones", "serious findings", "notes"]]
     for row in table.rows:
         known = any(not math.isnan(median) for median in row.medians.values())
@@ -156,34 +152,29 @@ def _finding_rows(table: ComparisonTable, style: MarkupStyle) -> list[list[str]]
 def comparison_markdown(
     tables: Sequence[ComparisonTable], title: str, about: Sequence[str], settings: Sequence[str]
 ) -> str:
-    """Write a page: the run, and means over all clips; settings, differences, medians and categories are folded."""
+    """Make a page of means over all clips; settings, differences, medians, findings and categories are folded."""
     lines = [f"# {title}", "", *(f"- {line}" for line in about), ""]
     for table in tables[:1]:
         lines += _means_markdown(table)
         lines += _details_block(SETTINGS_TITLE, [f"- {line}" for line in settings])
         differences = _difference_rows(table, MARKDOWN_STYLE)
         if len(differences) > 1:
-            lines += _details_block(DIFFERENCES_TITLE, table_lines(differences))
-        lines += _details_block(MEDIANS_TITLE, table_lines(_error_rows(table, MARKDOWN_STYLE)))
-        lines += _details_block(FINDINGS_TITLE, table_lines(_finding_rows(table, MARKDOWN_STYLE)))
+            lines += _details_block(DIFFERENCES_TITLE, markdown_table(differences))
+        lines += _details_block(MEDIANS_TITLE, markdown_table(_error_rows(table, MARKDOWN_STYLE)))
+        lines += _details_block(FINDINGS_TITLE, markdown_table(_finding_rows(table, MARKDOWN_STYLE)))
     if tables[1:]:
-        lines += _details_block(
-            CATEGORIES_TITLE, [line for table in tables[1:] for line in _means_markdown(table)][:-1]
-        )
+        categories = [line for table in tables[1:] for line in _means_markdown(table)]
+        lines += _details_block(CATEGORIES_TITLE, categories[:-1])
     return "\n".join(lines).rstrip() + "\n"
 
 
 def _means_markdown(table: ComparisonTable) -> list[str]:
-    return [
-        f"{_table_title(table)}:",
-        "",
-        *table_lines([_table_headings(table), *_table_body(table, MARKDOWN_STYLE)]),
-        "",
-    ]
+    grid = [_table_headings(table), *_table_body(table, MARKDOWN_STYLE)]
+    return [f"{_table_title(table)}:", "", *markdown_table(grid), ""]
 
 
 def _details_block(title: str, lines: list[str]) -> list[str]:
-    """Lines under a title that opens them; blank lines around them, since else they are no Markdown."""
+    """Return lines folded under a title; Markdown needs the blank lines around them."""
     return [f"<details><summary>{title}</summary>", "", *lines, "", "</details>", ""]
 
 
@@ -194,43 +185,30 @@ def _table_title(table: ComparisonTable) -> str:
 
 
 def comparison_latex(tables: Sequence[ComparisonTable], title: str, about: Sequence[str]) -> str:
-    """Write the same tables for a paper (needs the package booktabs)."""
+    """Make the tables in LaTeX (needs the package booktabs)."""
     lines = [f"% {title}", *(f"% {line}" for line in about)]
     for table in tables:
         headings = [LATEX_STYLE.text(heading) for heading in _table_headings(table)]
         lines += [
-            "",
-            r"\begin{table}",
-            r"\centering",
-            rf"\begin{{tabular}}{{l|{'c' * (len(headings) - 1)}}}",
-            r"\toprule",
-            " & ".join(headings) + r" \\",
-            r"\midrule",
-            *(" & ".join(row) + r" \\" for row in _table_body(table, LATEX_STYLE)),
-            r"\bottomrule",
-            r"\end{tabular}",
-            rf"\caption{{{LATEX_STYLE.text(f'{title}. {_table_title(table)}.')}}}",
-            r"\end{table}",
-        ]
+            "", r"\begin{table}", r"\centering", rf"\begin{{tabular}}{{l|{'c' * (len(headings) - 1)}}}",
+            r"\toprule", " & ".join(headings) + r" \\", r"\midrule",
+            *(" & ".join(row) + r" \\" for row in _table_body(table, LATEX_STYLE)), r"\bottomrule", r"\end{tabular}",
+            rf"\caption{{{LATEX_STYLE.text(f'{title}. {_table_title(table)}.')}}}", r"\end{table}",
+        ]  # fmt: skip
     return "\n".join(lines) + "\n"
 
 
 def comparison_csv_rows(tables: Sequence[ComparisonTable]) -> list[list[object]]:
     """Return the headings, and one line for each table, row and column, unrounded, shares from 0 to 1."""
     numbers = ("mean", "low", "high", "clips")
-    lines: list[list[object]] = [
-        ["table", "row", "column", *numbers, "rank", "against", *(f"difference_{key}" for key in numbers)]
-    ]
+    heads = ["table", "row", "column", *numbers, "rank", "against", *(f"difference_{key}" for key in numbers)]
+    lines: list[list[object]] = [[*heads]]
     for table in tables:
         for column in (*table.columns, *table.folded):
             for row, rank in zip(table.rows, table.ranks(column), strict=True):
-                value, difference = row.values[column.label], row.differences.get(column.label)
-                compared = (
-                    ["", *[""] * 4] if difference is None else [row.variant.against, *_estimate_cells(difference)]
-                )
-                lines.append(
-                    [table.title, row.variant.label, column.label, *_estimate_cells(value), rank or "", *compared]
-                )
+                value, difference = _estimate_cells(row.values[column.label]), row.differences.get(column.label)
+                compared = [""] * 5 if difference is None else [row.variant.against, *_estimate_cells(difference)]
+                lines.append([table.title, row.variant.label, column.label, *value, rank or "", *compared])
         for row in table.rows:
             for label, median in (*row.medians.items(), ("seconds", row.seconds)):
                 lines.append([table.title, row.variant.label, f"{label} (median)", median, *[""] * 9])
@@ -243,7 +221,7 @@ def _estimate_cells(estimate: MeanEstimate) -> list[float | int]:
 
 def clips_csv_rows(scores: Sequence[GraspClipScores], variants: Sequence[Variant]) -> list[list[object]]:
     """Return the headings, and one line for each clip and variant with every metric, unrounded."""
-    of = {variant.folder: variant for variant in variants}
+    by_folder = {variant.folder: variant for variant in variants}
     keys = list(dict.fromkeys(key for clip in scores for score in clip.scores for key in score.metrics))
     about = (
         "clip", "category", "subject", "method", "setting", "seconds", "energy", "ambiguous", "probability_right",
@@ -254,7 +232,7 @@ def clips_csv_rows(scores: Sequence[GraspClipScores], variants: Sequence[Variant
         if clip.failure:
             lines.append([clip.name, *[""] * (len(about) - 2), f"failed: {clip.failure}", *[""] * len(keys)])
         for score in clip.scores:
-            variant = of[score.variant]
+            variant = by_folder[score.variant]
             status = f"failed: {score.status}" if score.failed else score.status
             found = " ".join((*score.serious, *score.noted))
             probable = [score.probability_right, score.probability_right_in_camera, score.keep, score.keep_in_camera]
@@ -266,7 +244,7 @@ def clips_csv_rows(scores: Sequence[GraspClipScores], variants: Sequence[Variant
 
 
 def terminal_table(table: ComparisonTable, below: Sequence[str] = ()) -> RichTable:
-    """Make the table over all clips for a screen, with lines below it."""
+    """Make the table over all clips for the terminal, with lines below it."""
     out = make_table(title=_table_title(table), title_justify="left")
     out.caption, out.caption_justify = "\n".join(below), "left"
     out.add_column("")
@@ -278,35 +256,11 @@ def terminal_table(table: ComparisonTable, below: Sequence[str] = ()) -> RichTab
 
 
 def comparison_json(tables: Sequence[ComparisonTable], scores: Sequence[GraspClipScores]) -> dict[str, object]:
-    """Return every number, unrounded: the tables' and each clip's."""
+    """Return every number of the tables and of each clip, unrounded."""
     return {
         "level": CONFIDENCE_LEVEL,
         "tables": [
-            {
-                "table": table.title,
-                "clips": table.clips,
-                "rows": [
-                    {
-                        "row": row.variant.label,
-                        "method": row.variant.method,
-                        "contact": row.variant.contact.key,
-                        "medians": row.medians,
-                        "ambiguous": row.ambiguous,
-                        "wrong": row.wrong,
-                        "wrong_ambiguous": row.wrong_ambiguous,
-                        "serious": row.serious,
-                        "flagged": row.flagged,
-                        "flagged_right": row.flagged_right,
-                        "noted": row.noted,
-                        "seconds": row.seconds,
-                        "failed": row.failed,
-                        "values": {key: vars(value) for key, value in row.values.items()},
-                        "against": row.variant.against if row.differences else None,
-                        "differences": {key: vars(value) for key, value in row.differences.items()},
-                    }
-                    for row in table.rows
-                ],
-            }
+            {"table": table.title, "clips": table.clips, "rows": [_row_json(row) for row in table.rows]}
             for table in tables
         ],
         "clips": [
@@ -322,8 +276,14 @@ def comparison_json(tables: Sequence[ComparisonTable], scores: Sequence[GraspCli
     }
 
 
-ALL_PARTS_LABEL = "all"
-"""Row of the mean over all parts."""
+def _row_json(row: ComparisonRow) -> dict[str, object]:
+    about = {"row": row.variant.label, "method": row.variant.method, "contact": row.variant.contact.key}
+    estimates = {
+        "values": {key: vars(value) for key, value in row.values.items()},
+        "against": row.variant.against if row.differences else None,
+        "differences": {key: vars(value) for key, value in row.differences.items()},
+    }
+    return {**about, **{key: getattr(row, key) for key in ROW_COUNTS}, **estimates}
 
 
 @dataclass(frozen=True)
@@ -331,29 +291,29 @@ class PublishedResults:
     """A system's printed numbers, in per cent."""
 
     given: str
-    """Its inputs, and the frames that count."""
+    """Inputs of the system, and the evaluated frames."""
     source: str
     columns: Sequence[str]
-    """Labels of ours that mean the same."""
+    """Labels of our columns with the same meaning."""
     rows: Mapping[str, Sequence[float | None]]
     """Numbers by part, in the order of the columns, and by ``ALL_PARTS_LABEL``."""
 
     def number(self, row: str, column: str) -> float:
-        """Return a number; NaN where none is printed."""
+        """Return a printed number; NaN if missing."""
         printed = dict(zip(self.columns, self.rows.get(row, ()), strict=False)).get(column)
         return math.nan if printed is None else printed
 
 
 def read_published_results(name: str) -> dict[str, PublishedResults]:
-    """Read the systems of a file beside the sources of clips, by name."""
+    """Read the published results of a file in ``bench.sources``, by system."""
     text = resources.files("getagrip.bench.sources").joinpath(name).read_text("utf-8")
     return {system: PublishedResults(**fields) for system, fields in json.loads(text).items()}
 
 
 def published_grid(systems: Mapping[str, PublishedResults], ours: Mapping[str, ComparisonTable]) -> list[list[str]]:
-    """Make a grid: the parts as columns; for each column that anybody printed, our rows and the systems' as rows.
+    """Make a grid with the parts as columns; each printed metric has our rows, then the systems'.
 
-    ``ours`` are tables by part. Their mean over all is shown only where it is of the same parts as the printed ones.
+    ``ours`` are tables by part; the mean over all is shown only for the same parts as the printed mean.
     """
     parts = sorted({*(part for system in systems.values() for part in system.rows), *ours} - {ALL_PARTS_LABEL})
     tables = {part: table for part, table in ours.items() if part != ALL_PARTS_LABEL or {*parts} <= {*ours}}
@@ -372,45 +332,35 @@ def published_grid(systems: Mapping[str, PublishedResults], ours: Mapping[str, C
 
 
 def _mean_percent(table: ComparisonTable | None, row: int, column: str) -> float:
-    """Return our mean in per cent; NaN where it is not known."""
+    """Return our mean in per cent; NaN where unknown."""
     estimate = None if table is None else table.rows[row].values.get(column)
     return math.nan if estimate is None else 100.0 * estimate.mean
 
 
-def _format_number(number: float) -> str:
-    return "–" if math.isnan(number) else f"{number:.1f}"
-
-
 def published_markdown(systems: Mapping[str, PublishedResults], ours: Mapping[str, ComparisonTable]) -> list[str]:
-    """Write the grid, and what each system was given, as Markdown."""
+    """Make the Markdown of ``published_grid``, and the inputs of each system."""
     sources = [f"- {name}: {system.given}. Source: {system.source}" for name, system in systems.items()]
     return [*markdown_table(published_grid(systems, ours)), "", *sources]
 
 
-Fps = Literal["paper", "true"]
-PAPER_FPS = 50.0
-"""Frames per second by which the paper divides all of EPIC-Grasps' durations."""
-ALL_CATEGORIES_ROW = "All"
-
-
 @dataclass(frozen=True)
 class GraspDuration:
-    """A stable grasp, as far as the tables are about it."""
+    """The duration of a stable grasp."""
 
     category: str
     side: str
     duration: float
-    """In seconds."""
+    """Duration [s]."""
 
 
 @dataclass(frozen=True)
 class CategoryDurations:
-    """The grasps of one category, or of all of them."""
+    """Statistics of the grasps of one category, or of all."""
 
     category: str
     mean: float
     std: float
-    """Standard deviation of these grasps, divided by n [s]."""
+    """Standard deviation, with divisor n [s]."""
     longest: float
     clips: int
     left: int
@@ -418,14 +368,11 @@ class CategoryDurations:
 
 
 def durations_by_category(grasps: Sequence[GraspDuration]) -> list[CategoryDurations]:
-    """Return a row for each category in alphabetical order, then one for all; none where there are no grasps."""
+    """Return a row for each category in alphabetical order, then one for all; empty without grasps."""
     categories = sorted({grasp.category for grasp in grasps})
     groups = {category: [grasp for grasp in grasps if grasp.category == category] for category in categories}
-    return [
-        _category_durations(category, group)
-        for category, group in [*groups.items(), (ALL_CATEGORIES_ROW, list(grasps))]
-        if group
-    ]
+    groups |= {ALL_CATEGORIES_ROW: list(grasps)} if grasps else {}
+    return [_category_durations(category, group) for category, group in groups.items()]
 
 
 def _category_durations(category: str, grasps: Sequence[GraspDuration]) -> CategoryDurations:
@@ -436,10 +383,7 @@ def _category_durations(category: str, grasps: Sequence[GraspDuration]) -> Categ
 
 
 def epic_durations(grasps: Sequence[EpicGrasp], fps: Fps = "paper") -> list[GraspDuration]:
-    """List the durations of EPIC-Grasps.
-
-    ``paper``: 50 frames per second in every video. ``true``: as EPIC numbers the frames of each video.
-    """
+    """List the durations of EPIC-Grasps, at 50 frames/s (``paper``) or at each video's rate of numbering (``true``)."""
     return [
         GraspDuration(one.category, one.side, one.frames / (PAPER_FPS if fps == "paper" else numbering_rate(one.video)))
         for one in grasps
@@ -447,7 +391,7 @@ def epic_durations(grasps: Sequence[EpicGrasp], fps: Fps = "paper") -> list[Gras
 
 
 def grasp_list_durations(path: Path, grasps: Sequence[ListedGrasp]) -> list[GraspDuration]:
-    """Return the durations in a list. Raises ``InputError`` where it does not say how long a grasp lasts."""
+    """List the durations of a list of grasps. Raises ``InputError`` where one is missing."""
     for n, grasp in enumerate(grasps):
         if grasp.duration is None:
             raise InputError(path, f"grasp {n + 1}, duration", "none", "how long it lasts, in seconds")
@@ -456,23 +400,23 @@ def grasp_list_durations(path: Path, grasps: Sequence[ListedGrasp]) -> list[Gras
 
 @dataclass(frozen=True)
 class DatasetCounts:
-    """How many of each a dataset has; None: its files do not say."""
+    """Numbers of a dataset's contents; None where its files do not state them."""
 
     environments: int | None
-    """Videos: what the paper calls environments."""
+    """Number of videos, which the paper calls environments."""
     subjects: int | None
     categories: int
     instances: int | None
-    """Objects: of EPIC-Grasps a category in a video, as in the paper."""
+    """Number of objects; in EPIC-Grasps, a category in a video is one, as in the paper."""
     grasps: int
     left: int
     right: int
     masks: int | None
-    """Masks of hand and object, as in EPIC-Grasps' table (``n_unfiltered_masks``); of a folder, masks of the object."""
+    """Number of masks of hand and object in EPIC-Grasps' table (``n_unfiltered_masks``); in a folder, of the object."""
 
 
 def count_epic_grasps(grasps: Sequence[EpicGrasp]) -> DatasetCounts:
-    """Count EPIC-Grasps' table."""
+    """Count the contents of EPIC-Grasps' table."""
     masks = [grasp.masks for grasp in grasps if grasp.masks is not None]
     sides = [grasp.side for grasp in grasps]
     return DatasetCounts(
@@ -488,18 +432,15 @@ def count_epic_grasps(grasps: Sequence[EpicGrasp]) -> DatasetCounts:
 
 
 def count_grasp_list(grasps: Sequence[ListedGrasp], folder: Path | None) -> DatasetCounts:
-    """Count a list, and the clips beside it where it is in a folder of clips.
+    """Count the contents of a list of grasps, and the masks of the clips in ``folder``.
 
-    Subjects are known where sequences are named as imports name them, ``<subject>--...``.
+    Subjects are known if all sequences are named as imports name them, ``<subject>--...``.
     """
-    subjects = {
-        grasp.sequence.partition(CLIP_NAME_SEPARATOR)[0] for grasp in grasps if CLIP_NAME_SEPARATOR in grasp.sequence
-    }
     named = all(CLIP_NAME_SEPARATOR in grasp.sequence for grasp in grasps)
     sides = [grasp.side for grasp in grasps]
     return DatasetCounts(
         environments=None,
-        subjects=len(subjects) if named else None,
+        subjects=len({grasp.sequence.partition(CLIP_NAME_SEPARATOR)[0] for grasp in grasps}) if named else None,
         categories=len({grasp.object for grasp in grasps}),
         instances=None,
         grasps=len(grasps),

@@ -1,6 +1,6 @@
-"""One timeline of a benchmark, reconstructed by every variant at every noise level: poses, jumps and contact scored.
+"""``getagrip bench dexycb-timelines``, ``hot3d-timelines``: reconstruct timelines from their true segments.
 
-``getagrip bench dexycb-timelines``, ``hot3d-timelines``: from table to hand, reconstructed by true segments.
+Every variant runs at every level of noise; poses, jumps between segments and contact are scored.
 """
 
 from __future__ import annotations
@@ -41,27 +41,30 @@ TIMELINE_NOISE_LEVELS: dict[str, Noise] = {
     "strong": replace(NOISE_PRESETS["strong"], mask_ragged_px=0.0),
     "ragged": NOISE_PRESETS["strong"],
 }
-"""Noise of hands; ``ragged`` is strong noise, and that of masks, too: 1 px."""
+"""Noise of hands; ``ragged`` adds noise of masks, 1 px, to strong noise of hands."""
 TIMELINE_CODE = ("bench/timelines.py",)
-"""Code that scores depend on, besides that of a reconstruction."""
+"""Code, besides a reconstruction's, that scores depend on."""
 ALL_NOISE_LEVELS = "all"
-"""All levels, one after the other."""
+"""Value of ``--preset`` for all levels in turn."""
 TIMELINE_CONTACT_DEFINITION = ContactDefinition("object", 0.010)
 SEGMENT_KINDS = {"static": "static", "contact": "between", "free": "between", "grasp": "grasp"}
-"""Words for the states of segments in tables."""
+"""Names of segments in tables, by state."""
+TIMELINE_TABLE_HEADINGS = (
+    "hands", "", "static", "between", "grasp", "grasp, ADD", "mugs, grasp", "jump, mm", "SCA", "s",
+)  # fmt: skip
 
 
 class VariantScores(TypedDict, total=False):
-    """The scores of a variant on a timeline, as its record has them."""
+    """The scores of a variant on a timeline, as its record holds them."""
 
     seconds: Required[float]
-    """CPU time."""
+    """CPU time [s]."""
     segments: Sequence[Json]
     """The ``SegmentScore`` of each segment."""
     jumps: Sequence[float]
-    """From each segment to the next [m]."""
+    """Jump from each segment to the next [m]."""
     failure: str
-    """Why there are neither."""
+    """Reason for missing segments and jumps."""
 
 
 @dataclass(frozen=True)
@@ -70,12 +73,12 @@ class TimelineScores(ClipScores):
 
     category: str = ""
     by: Mapping[str, Mapping[str, VariantScores]] = field(default_factory=dict)
-    """By level and variant."""
+    """Scores by level and variant."""
 
 
 @dataclass(frozen=True)
 class TimelineTrial(Trial[TimelineScores]):
-    """A timeline to reconstruct; a folder for each level, with a file for it, goes into ``results``."""
+    """A timeline to reconstruct; its records go to ``results/<level>/<name>.json``."""
 
     levels: tuple[str, ...]
     """Keys of ``TIMELINE_NOISE_LEVELS``."""
@@ -98,7 +101,7 @@ class TimelineTrial(Trial[TimelineScores]):
 
 
 def _score_noise_level(trial: TimelineTrial, level: str) -> Json:
-    """Return the scores of every variant at a level, for timelines with both a static segment and a grasp."""
+    """Return the scores of every variant at a level; empty for timelines without a static segment or a grasp."""
     from getagrip.timelines.variants import TIMELINE_VARIANTS, reconstruct_variant
 
     tracked = read_clip(trial.sample.folder)
@@ -108,9 +111,8 @@ def _score_noise_level(trial: TimelineTrial, level: str) -> Json:
     if not {"static", "grasp"} <= states:
         return {"category": tracked.category, "by": by}
     symmetries = find_symmetries(tracked.mesh)
-    clip, masks = perturbed(
-        tracked, input_masks, TIMELINE_NOISE_LEVELS[level], [trial.options.seed, *tracked.name.encode()]
-    )
+    seed = [trial.options.seed, *tracked.name.encode()]
+    clip, masks = perturbed(tracked, input_masks, TIMELINE_NOISE_LEVELS[level], seed)
     for variant in TIMELINE_VARIANTS:
         since = time.process_time()
         try:
@@ -128,14 +130,14 @@ def _score_noise_level(trial: TimelineTrial, level: str) -> Json:
 
 @dataclass(frozen=True)
 class SegmentScore:
-    """A segment's poses in the camera frame.
+    """The score of a segment's poses in the camera frame.
 
     Attributes:
-        kind: of ``SEGMENT_KINDS``.
-        right: whether its mean ADD is below a tenth of the diameter.
-        right_sym: the same up to the object's symmetries.
-        add_sym: that mean, in diameters.
-        sca: of grasps, else None.
+        kind: value of ``SEGMENT_KINDS``.
+        right: whether the mean ADD is below a tenth of the diameter.
+        right_sym: whether the mean ADD up to the object's symmetries is.
+        add_sym: mean ADD up to symmetries, in diameters.
+        sca: stable contact area of a grasp, else None.
     """
 
     kind: str
@@ -148,7 +150,7 @@ class SegmentScore:
 def segment_scores(
     clip: Clip, symmetries: Symmetries, T_cam_obj: Float[ndarray, "T 4 4"], T_cam_hand: Float[ndarray, "T 4 4"]
 ) -> list[SegmentScore]:
-    """Score each segment; contact is with the hand of the result. The clip's scale is known."""
+    """Score each segment of a clip with ground truth and known scale; contact is with the result's hand."""
     assert clip.truth is not None
     out = []
     for segment in clip.segments:
@@ -167,7 +169,7 @@ def segment_scores(
 
 
 def segment_jumps(clip: Clip, T_cam_obj: Float[ndarray, "T 4 4"]) -> Sequence[float]:
-    """Measure the object's jump from each segment to the next beyond its true motion [m]: the mean over vertices."""
+    """Measure the object's jump from each segment to the next beyond its true motion, mean over vertices [m]."""
     assert clip.truth is not None
     out = []
     for one, other in zip(clip.segments, clip.segments[1:], strict=False):
@@ -176,20 +178,6 @@ def segment_jumps(clip: Clip, T_cam_obj: Float[ndarray, "T 4 4"]) -> Sequence[fl
         apart = se3.transform(moves[0], posed) - se3.transform(moves[1], posed)
         out.append(float(np.linalg.norm(apart, axis=1).mean()))
     return out
-
-
-TIMELINE_TABLE_HEADINGS = (
-    "hands",
-    "",
-    "static",
-    "between",
-    "grasp",
-    "grasp, ADD",
-    "mugs, grasp",
-    "jump, mm",
-    "SCA",
-    "s",
-)
 
 
 @dataclass(frozen=True)
@@ -207,14 +195,13 @@ class TimelineBenchmark(Benchmark[TimelineScores]):
         return [TimelineTrial(sample, results, overwrite, levels, self.options) for sample in samples]
 
     def page(self, scores: Sequence[TimelineScores]) -> BenchmarkPage | None:
-        """Make the page; raise ``UsageError`` where no timeline has both a static segment and a stable grasp."""
+        """Make the page. Raises ``UsageError`` where no timeline has both a static segment and a stable grasp."""
         done = [one for one in scores if not one.failure]
         whole = [one for one in done if one.by]
         if done and not whole:
             lacking = "a timeline with both a static segment and a stable grasp"
-            raise UsageError(
-                f"missing {lacking} in {self.source.dataset}: none of {format_count(len(done), 'timeline')}"
-            )
+            count = format_count(len(done), "timeline")
+            raise UsageError(f"missing {lacking} in {self.source.dataset}: none of {count}")
         if not whole:
             return None
         grid: list[Sequence[str]] = [TIMELINE_TABLE_HEADINGS]
@@ -230,7 +217,7 @@ class TimelineBenchmark(Benchmark[TimelineScores]):
             "below 10 % of the diameter; grasp, ADD: without symmetries; a variant that fails scores 0",
             "hands: exact, moderate and strong noise, masks exact; ragged: strong noise, and masks off by 1 px",
             "jump: median over links of how far the object moves from one segment to the next beyond its true motion",
-            "SCA: mean over grasps, object vertices within 10 mm of the hand that was found",
+            "SCA: mean over grasps, object vertices within 10 mm of the reconstructed hand",
             "s: median seconds of CPU for a timeline, reading not included",
             "in brackets: 95 % intervals by Student's t over the subjects",
             f"{self.options.inits} initial poses, seed {self.options.seed}; made {date_and_commit()}",
@@ -240,23 +227,21 @@ class TimelineBenchmark(Benchmark[TimelineScores]):
 
 
 def _timeline_cells(scores: Sequence[TimelineScores], level: str, variant: str) -> list[str]:
-    """Return a row's numbers as text."""
-    found = [(one, one.by[level][variant]) for one in scores]
-    cells = [_segment_percentage(found, kind, "right_sym") for kind in ("static", "between", "grasp")]
-    cells.append(_segment_percentage(found, "grasp", "right"))
-    cells.append(_segment_percentage([(one, of) for one, of in found if "mug" in one.category], "grasp", "right_sym"))
-    gaps = [jump for _, of in found for jump in of.get("jumps", [])]
-    sca = [s["sca"] for _, of in found for s in of.get("segments", []) if s["sca"] is not None]
-    seconds = [of["seconds"] for _, of in found]
+    known = [(one, one.by[level][variant]) for one in scores]
+    cells = [_segment_percentage(known, kind, "right_sym") for kind in ("static", "between", "grasp")]
+    cells.append(_segment_percentage(known, "grasp", "right"))
+    cells.append(_segment_percentage([pair for pair in known if "mug" in pair[0].category], "grasp", "right_sym"))
+    gaps = [jump for _, score in known for jump in score.get("jumps", [])]
+    sca = [s["sca"] for _, score in known for s in score.get("segments", []) if s["sca"] is not None]
     cells += [f"{1e3 * np.median(gaps):.1f}" if gaps else "–", f"{100 * np.mean(sca):.1f}" if sca else "–"]
-    return [*cells, f"{np.median(seconds):.1f}"]
+    return [*cells, f"{np.median([score['seconds'] for _, score in known]):.1f}"]
 
 
-def _segment_percentage(found: Sequence[tuple[TimelineScores, VariantScores]], kind: str, key: str) -> str:
-    """Per cent of the segments of a kind, with an interval; a failed timeline counts as one wrong segment."""
+def _segment_percentage(known: Sequence[tuple[TimelineScores, VariantScores]], kind: str, key: str) -> str:
+    """Format the share of right segments of a kind, with an interval; a failed timeline counts as a wrong segment."""
     values, subjects = [], []
-    for one, of in found:
-        right = [float(s[key]) for s in of.get("segments", []) if s["kind"] == kind] if "segments" in of else [0.0]
+    for one, score in known:
+        right = [float(s[key]) for s in score["segments"] if s["kind"] == kind] if "segments" in score else [0.0]
         values += right
         subjects += [subject_from_clip_name(one.name)] * len(right)
     if not values:

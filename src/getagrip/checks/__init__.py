@@ -1,7 +1,7 @@
-"""Checks of inputs and results: each measures one thing, and reports values beyond its limits.
+"""Checks of inputs and results: each measures one quantity, and reports values beyond its limits.
 
-``INPUT_CHECKS`` need the clip and its masks, ``RESULT_CHECKS`` the poses that were found, too. Limits were chosen on
-training data (docs/checks.md). ``compute_features`` is what ``CALIBRATIONS`` (``calibrated``) make a probability of.
+``INPUT_CHECKS`` need the clip and its masks, ``RESULT_CHECKS`` the found poses, too. Limits were chosen on training
+data (docs/checks.md). ``calibration`` turns the features of ``compute_features`` into a probability.
 """
 
 from getagrip.checks.check import Check, run_checks

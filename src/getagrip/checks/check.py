@@ -1,4 +1,4 @@
-"""A check: what is measured, what is usual, how a value is shown; and how checks are run."""
+"""A check: the measured quantity, its usual range, its messages; and running checks."""
 
 from __future__ import annotations
 
@@ -24,64 +24,71 @@ SUPERSEDED_BY = {
     "poor-mask-fit": ("mask-fit",),
     "uneven-mask-fit": ("mask-fit",),
 }
-"""Checks that are not reported where a more severe check, one of these, reports the same problem."""
+"""Checks that are not reported where one of these, more severe, reports the same problem."""
 OWN_MESH_ADVICE = "the shape is a guess: give the object's own mesh (draft, clip new: --object MESH)"
-"""The advice of checks that another mesh would mend, where the mesh is a built-in shape."""
+"""Advice of checks ``of_shape`` where the mesh is a built-in shape."""
 MAX_CHECK_VALUE = 1e9
-"""JSON has no infinity."""
+"""Maximum magnitude of a stored value, since JSON has no infinity."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """A number about a clip or its result, and the range in which it is nearly always when all is right."""
+    """A number about a clip or its result, and its usual range.
+
+    Attributes:
+        name: name of the check.
+        measure: the number; NaN where it cannot be known.
+        fault: the fault beyond the limits: a text with the ``{value}`` as ``shown``, or a function of the evidence.
+        advice: what to do about the fault.
+        low: lower limit.
+        high: upper limit.
+        serious: True if the result is probably worthless; False if it may be right.
+        shown: format of values and limits in messages.
+        of_shape: True if the object's own mesh, in place of a built-in shape, would remove the fault.
+    """
 
     name: str
     measure: Callable[[Evidence], float]
-    """NaN where it cannot be known."""
     fault: str | Callable[[Evidence], str]
-    """The fault beyond the limits: a text with the ``{value}`` as it is ``shown``, or a function of the evidence."""
     advice: str
     low: float = -np.inf
     high: float = np.inf
     serious: bool = True
-    """True if the result is probably worthless; else it may be right."""
     shown: Callable[[float], str] = "{:.3g}".format
-    """A value, and a limit, as people read it."""
     of_shape: bool = False
-    """True if the object's own mesh would mend it, where the clip has a built-in shape."""
 
     @property
     def usual(self) -> str:
-        """The range in words."""
+        """The usual range in words."""
         if np.isfinite(self.low) and np.isfinite(self.high):
             return f"{self.shown(self.low)} to {self.shown(self.high)}"
         return f"at least {self.shown(self.low)}" if np.isfinite(self.low) else f"at most {self.shown(self.high)}"
 
     def is_usual(self, value: float) -> bool:
-        """Return whether a value is within the limits; so is one that is not known, NaN."""
+        """Return whether a value is within the limits, or unknown (NaN)."""
         return bool(np.isnan(value) or self.low <= value <= self.high)
 
     def verdict(self, value: float) -> str:
-        """Judge a measured value in a word or two."""
+        """Judge a measured value: "usual", "note", "serious" or "not applicable"."""
         if np.isnan(value):
             return "not applicable"
         return "usual" if self.is_usual(value) else "serious" if self.serious else "note"
 
     def finding(self, value: float, it: Evidence) -> Finding | None:
-        """Return the finding about a measured value; None where it is usual."""
+        """Return the finding about a measured value; None for usual values."""
         if self.is_usual(value):
             return None
         limit, least = (self.low, "least") if value < self.low else (self.high, "most")
         fault = self.fault.format(value=self.shown(value)) if isinstance(self.fault, str) else self.fault(it)
-        usual = f" (usual: at {least} {self.shown(limit)})" if limit else ""  # that there is usually none is plain
+        usual = f" (usual: at {least} {self.shown(limit)})" if limit else ""  # a limit of 0 is obvious
         advice = OWN_MESH_ADVICE if self.of_shape and it.shape_assumed else self.advice
         return Finding(self.name, self.serious, value, limit, f"{fault}{usual}; {advice}")
 
 
 def run_checks(checks: Iterable[Check], it: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
-    """Run checks: return the value of each, at most ``MAX_CHECK_VALUE`` in magnitude, and the findings.
+    """Run checks: return the value of each, up to ``MAX_CHECK_VALUE`` in magnitude, and the findings.
 
-    That one of another package has raised is a finding, too.
+    A check of a plug-in that raises is a finding, too.
     """
     measured: dict[str, float] = {}
     found: list[Finding] = []
@@ -94,15 +101,14 @@ def run_checks(checks: Iterable[Check], it: Evidence) -> tuple[dict[str, float],
             if (plugin := plugins.plugin_of(check)) is None:
                 raise
             measured[check.name] = np.nan
-            message = f"{plugin} failed: {type(error).__name__}: {error}"
-            finding = Finding(check.name, False, 0.0, 0.0, message)
+            finding = Finding(check.name, False, 0.0, 0.0, f"{plugin} failed: {type(error).__name__}: {error}")
         found += [] if finding is None else [finding]
     names = {finding.check for finding in found}
     return measured, tuple(f for f in found if names.isdisjoint(SUPERSEDED_BY.get(f.check, ())))
 
 
 def format_percent(share: float) -> str:
-    """Write a share in per cent."""
+    """Write a fraction in per cent."""
     return f"{100.0 * share:.3g} %"
 
 
@@ -112,5 +118,5 @@ def format_millimetres(length: float) -> str:
 
 
 def format_diameter_share(share: float) -> str:
-    """Write a length as a share of the object's diameter."""
+    """Write a length, given in object diameters, as per cent of the diameter."""
     return f"{format_percent(share)} of its diameter"

@@ -18,15 +18,15 @@ from getagrip.metrics.contact import moving_distance
 from getagrip.provenance import is_assumed
 
 N_CONTACT_HAND_POINTS = 400
-"""Vertices of the hand whose distances to the object are measured."""
+"""Number of the hand's vertices whose distances to the object are measured."""
 SMALL_IMAGE_PX = 64
-"""Longer side of the images in which the hand is drawn [px]."""
+"""Longer side of the images in which the hand is rendered [px]."""
 DEPTH_ORDER_IMAGE_PX, N_DEPTH_ORDER_FRAMES = 256, 8
-"""Longer side of the images in which hand and object are drawn [px], and frames in which they are."""
+"""Longer side of the images in which depth order is rendered [px], and number of frames."""
 MAX_NAMED_FRAMES = 8
-"""Most frames that a sentence names."""
+"""Maximum number of frames that a message names."""
 N_POINTS_PER_REGION = 6
-"""Vertices that stand for a contact region of the hand."""
+"""Number of vertices that represent a contact region of the hand."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Glitches:
     """The frames of tracker glitches (``fitting.hand.refine_hand``).
 
     Attributes:
-        frames: names of those frames.
-        of: number of frames that were looked at.
+        frames: names of these frames.
+        of: number of examined frames.
     """
 
     frames: tuple[str, ...]
@@ -43,38 +43,38 @@ class Glitches:
 
     @property
     def share(self) -> float:
-        """Share of the frames."""
+        """Fraction of the frames."""
         return len(self.frames) / self.of
 
     def __str__(self) -> str:
         where, more = "frame" if len(self.frames) == 1 else "frames", len(self.frames) - MAX_NAMED_FRAMES
         names = ", ".join(self.frames[:MAX_NAMED_FRAMES]) + (f" and {more} more" if more > 0 else "")
-        what = "the hand leaves its path and returns (tracker glitch), and was flipped back or interpolated"
+        what = "the hand leaves its path and returns (tracker glitch); it was flipped back or interpolated"
         return f"{what}: {where} {names}"
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A clip with its masks; each part is computed when a check first reads it.
+    """A clip with its masks and, after the fit, the result; each part is computed when a check first reads it.
 
     Attributes:
-        clip: the clip, at the frames that are looked at.
-        masks: its masks as they were given, in the same frames.
-        T_hand_obj: (T, 4, 4) poses that were found; None before the fit.
-        scale: the scale that was found.
-        iou: (n,) overlap of rendered and observed mask, in these frames or more; NaN where no mask shows the object, or
-            the mask is an outlier.
-        iou_frames: names of the frames of ``iou``; None: they are the clip's.
-        outliers: names of the frames with outlier masks; None where none was checked.
-        deformed: root mean square distance by which the fit has deformed the mesh, in diameters; NaN where there was
-            none.
+        clip: the clip, at the checked frames.
+        masks: its input masks, in the same frames.
+        T_hand_obj: (T, 4, 4) found poses; None before the fit.
+        scale: found scale.
+        iou: (n,) IOU of rendered and observed mask, in these frames or more; NaN where no mask shows the object, or the
+            mask is an outlier.
+        iou_frames: names of the frames of ``iou``; None: those of the clip.
+        outliers: names of the frames with outlier masks; None if masks were not examined.
+        deformed: root mean square deformation of the mesh by the fit [diameters]; NaN without a mesh fit.
         deformed_mm: the same in millimetres.
-        hand_differing: share of the hand's seen pixels that differ from its silhouette; NaN where that is not known.
-        joints_left_out: whether the hand's 2D joints did not count where it was refined.
-        misfit: how much farther contours are from those of the masks than the object's own mesh would leave them.
-        other_size: how many times as large the object seems to be, where its size was said to be known, and what
-            share of the energy that saves; NaN where it was not looked at.
-        turned_away: how far the opening of a built-in vessel points away from the camera [degrees]; NaN of all else.
+        hand_differing: fraction of the hand's visible pixels that differ from its silhouette; NaN where unknown.
+        joints_left_out: True if the refinement of the hand ignored its 2D joints.
+        misfit: contour distance to the masks, as a multiple of what the object's own mesh would leave.
+        scale_check: scale that the energy prefers to a known one, and the fraction of energy that it saves; NaN where
+            the scale was not checked.
+        turned_away: angle by which the opening of a built-in vessel points away from the camera [degrees]; NaN for
+            other meshes.
         glitches: frames of tracker glitches, repaired in ``clip``; None where hands are used as given.
     """
 
@@ -96,17 +96,17 @@ class Evidence:
 
     @property
     def shape_assumed(self) -> bool:
-        """True if the mesh is one of the package's own shapes, and not the object's."""
+        """True if the mesh is a built-in shape instead of the object's own mesh."""
         return is_assumed(self.clip.provenance.get("mesh"))
 
     @property
     def glitch_share(self) -> float:
-        """Share of the clip's frames with a tracker glitch; NaN where none was looked for."""
+        """Fraction of the frames with a tracker glitch; NaN if they were not looked for."""
         return np.nan if self.glitches is None else self.glitches.share
 
     @property
     def outlier_share(self) -> float:
-        """Share of the frames with outlier masks; NaN where none was checked."""
+        """Fraction of the frames with outlier masks; NaN if they were not looked for."""
         return np.nan if self.outliers is None else len(self.outliers) / len(self.overlaps)
 
     @cached_property
@@ -116,7 +116,7 @@ class Evidence:
 
     @cached_property
     def depth(self) -> Float[ndarray, "T"]:
-        """Distance of the hand before the camera [m]."""
+        """Depth of the hand's middle in the camera frame [m]."""
         return np.asarray(se3.transform(self.clip.hand.T_cam_hand, self.hand_middle[:, None])[:, 0, 2])
 
     @cached_property
@@ -146,7 +146,7 @@ class Evidence:
 
     @cached_property
     def apparent_size(self) -> float:
-        """Diagonal of the largest mask's box, as long as it would be at the hand's distance [m]."""
+        """Diagonal of the largest mask's box, at the hand's distance [m]."""
         return float(np.max(np.linalg.norm((self.boxes[:, 2:] - self.boxes[:, :2]) / self._focal, axis=1) * self.depth))
 
     @property
@@ -155,25 +155,22 @@ class Evidence:
 
     @cached_property
     def drawn_hands(self) -> Bool[ndarray, "T h w"]:
-        """The input hand in small images."""
+        """Silhouettes of the input hand in small images."""
         K, size = np.diag([self._zoom, self._zoom, 1.0]) @ self.clip.K, self._small
         posed = se3.transform(self.clip.hand.T_cam_hand, self.clip.hand.vertices)
         return np.stack([render_coverage(v, self.clip.hand.faces, k, size) for v, k in zip(posed, K, strict=True)])
 
     @cached_property
     def small_ignore(self) -> Bool[ndarray, "T h w"]:
-        """The ignored pixels, as small."""
+        """The ignore masks in small images."""
         return np.stack([_subsample_mask(mask, self._zoom, self._small) for mask in self.masks.ignore])
 
     @cached_property
     def small_hand_pixels(self) -> Bool[ndarray, "T h w"]:
-        """The visible pixels of the hand, in small images; the ignored pixels where these are unknown."""
-        hand = self.masks.hand
-        return (
-            self.small_ignore
-            if hand is None
-            else np.stack([_subsample_mask(mask, self._zoom, self._small) for mask in hand])
-        )
+        """The hand masks in small images; without hand masks, the ignore masks."""
+        if self.masks.hand is None:
+            return self.small_ignore
+        return np.stack([_subsample_mask(mask, self._zoom, self._small) for mask in self.masks.hand])
 
     @property
     def _zoom(self) -> float:
@@ -186,13 +183,13 @@ class Evidence:
 
     @property
     def overlaps(self) -> Float[ndarray, "n"]:
-        """Overlap of rendered and observed mask of each frame; NaN where no mask shows the object."""
+        """IOU of rendered and observed mask of each frame; NaN where no mask shows the object."""
         assert self.iou is not None
         return self.iou
 
     @cached_property
     def posed(self) -> Float[ndarray, "T V 3"]:
-        """Vertices of the found object before the camera [m]."""
+        """Vertices of the found object in the camera frame [m]."""
         assert self.T_hand_obj is not None
         T_cam_obj = self.clip.hand.T_cam_hand @ self.T_hand_obj
         return np.asarray(se3.transform(T_cam_obj, self.scale * self.clip.mesh.vertices))
@@ -205,41 +202,35 @@ class Evidence:
     @cached_property
     def region_distance(self) -> Float[ndarray, "T R"]:
         """Signed distance [m] of each contact region of the hand to the found object, negative inside."""
-        some = [
-            ids[frame_indices(len(ids), N_POINTS_PER_REGION)] for ids in self.clip.hand.regions.values() if len(ids)
-        ]
+        regions = self.clip.hand.regions.values()
+        some = [ids[frame_indices(len(ids), N_POINTS_PER_REGION)] for ids in regions if len(ids)]
         ends = np.cumsum([len(ids) for ids in some])[:-1]
         parts = np.split(self._distance(np.concatenate(some)), ends, axis=1)
         return np.stack([part.min(axis=1) for part in parts], axis=1)
 
     def _distance(self, ids: Int[ndarray, "n"]) -> Float[ndarray, "T n"]:
-        """Measure the signed distances [m] of vertices of the hand to the found object, negative inside."""
         assert self.T_hand_obj is not None
         mesh, points = self.clip.mesh, se3.transform(se3.inverse(self.T_hand_obj), self.clip.hand.vertices[:, ids])
-        return moving_distance(
-            points, np.broadcast_to(self.scale * mesh.vertices, (len(points), *mesh.vertices.shape)), mesh.faces
-        )
+        vertices = np.broadcast_to(self.scale * mesh.vertices, (len(points), *mesh.vertices.shape))
+        return moving_distance(points, vertices, mesh.faces)
 
     @cached_property
     def in_front(self) -> tuple[float, float]:
-        """Shares of pixels with the wrong depth order, 0 where all is right; NaN where there are no such pixels.
+        """Fractions of pixels with the wrong depth order, 0 where all is right; NaN without such pixels.
 
-        The first is the share of the hand's visible pixels in which the object is in front of it, the second the share
-        of the object's mask in which the hand is in front.
+        The first is the fraction of the hand's visible pixels in which the object is in front of the hand, the second
+        that of the object's mask in which the hand is in front.
         """
         assert self.T_hand_obj is not None
-        few, zoom = (
-            frame_indices(len(self.clip), N_DEPTH_ORDER_FRAMES),
-            min(1.0, DEPTH_ORDER_IMAGE_PX / max(self.clip.size)),
-        )
+        few, zoom = frame_indices(len(self.clip), N_DEPTH_ORDER_FRAMES), DEPTH_ORDER_IMAGE_PX / max(self.clip.size)
+        zoom = min(1.0, zoom)
         size = max(1, int(self.clip.size[0] * zoom)), max(1, int(self.clip.size[1] * zoom))
-        counts = np.zeros((2, 2))  # of the hand's pixels, then of the object's: with the other one in front, and all
+        counts = np.zeros((2, 2))  # of the hand's, then of the object's pixels: with the other in front, and in all
         for n in few:
             hand = self.clip.hand.T_cam_hand[n]
-            surfaces = (
-                (se3.transform(hand @ self.T_hand_obj[n], self.scale * self.clip.mesh.vertices), self.clip.mesh.faces),
-                (se3.transform(hand, self.clip.hand.vertices[n]), self.clip.hand.faces),
-            )
+            posed = se3.transform(hand @ self.T_hand_obj[n], self.scale * self.clip.mesh.vertices)
+            posed_hand = se3.transform(hand, self.clip.hand.vertices[n])
+            surfaces = (posed, self.clip.mesh.faces), (posed_hand, self.clip.hand.faces)
             nearest = nearest_surface(surfaces, np.diag([zoom, zoom, 1.0]) @ self.clip.K[n], size)
             for k, masks in enumerate((self.masks.hand, self.masks.object)):
                 if masks is None:

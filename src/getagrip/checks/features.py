@@ -1,7 +1,7 @@
-"""Signs that a result is right or wrong: numbers that are known without ground truth.
+"""Features of a result from which its probability of being right is calibrated; no feature needs ground truth.
 
-Each is on a scale on which it is about linear in the logarithm of the odds that the result is right (``calibration``):
-what may be many times larger in one clip than in another is a logarithm.
+``result.json`` and docs/checks.md call them signs. Each is scaled to be about linear in the logarithm of the odds of a
+right result (``calibration``): quantities that vary by large factors between clips are logarithms.
 """
 
 from __future__ import annotations
@@ -18,44 +18,49 @@ from getagrip.clip.depth import DEPTH_KEY, Depth
 from getagrip.geometry import se3
 
 MIN_DISTINCT_DISTANCE = 0.03
-"""A candidate that is farther apart than this is another solution [diameters]."""
+"""Distance of a candidate from the first above which it is another solution [diameters]."""
 MAX_ENERGY_GAP = 0.7
-"""Largest energy gap, also where there is no other solution: logarithm of the factor between two energies."""
+"""Maximum logarithm of the ratio of two energies, and its value without another solution."""
 MAX_SOLUTION_DISTANCE = 0.5
-"""A solution counts as at most so far [diameters]."""
+"""Maximum distance at which a solution counts [diameters]."""
 MIN_SOLUTION_PROBABILITY = 1e-2
-"""Solutions less probable than this do not count, each by the most probable one."""
+"""Probability, relative to the best solution, below which a solution is ignored."""
 UNSEEN_HAND_MISFIT = 0.4
-"""Differing pixels of a hand of which none is seen."""
+"""Fraction of differing pixels that is assumed for a hand without visible pixels."""
 DEFAULT_JOINT_ERROR = 0.15
-"""Error of a given hand's joints, where none are seen [shares of its box]."""
+"""Error that is assumed for the joints of a hand without 2D joints [fractions of the hand's box]."""
 MIN_HAND_SPREAD = 0.01
-"""Less of a hand's spread hardly counts [diameters]."""
+"""Spread of a hand below which differences hardly count [diameters]."""
 MAX_CONTACT_GAP_M = 0.03
-"""A region that does not touch counts as at most so far [m]."""
+"""Maximum distance at which a region counts [m]."""
 
 
 @dataclass(frozen=True)
 class Feature:
-    """Something that is known about a result."""
+    """A feature of a result.
+
+    Attributes:
+        name: its key in ``result.json``.
+        measure: its value.
+        direction: 1 if larger values make a right result more probable, -1 if less.
+    """
 
     name: str
     measure: Callable[[SolvedEvidence], float]
     direction: int
-    """1: the more, the more probable is a right result; -1: the less probable."""
 
 
 def energy_gap(it: SolvedEvidence) -> float:
-    """Compare the energy of the best other solution: square root of the logarithm of the factor."""
+    """Compute the square root of the logarithm of the best other solution's energy, relative to the least."""
     times = it.energy_times[it.apart > MIN_DISTINCT_DISTANCE]
     factor = np.log(times.min()) if len(times) else MAX_ENERGY_GAP
     return float(np.sqrt(np.clip(factor, 0.0, MAX_ENERGY_GAP)))
 
 
 def solution_spread(it: SolvedEvidence) -> float:
-    """Measure the spread of the other solutions, in diameters, weighted by the probability that each energy implies.
+    """Compute the mean distance of all solutions [diameters], weighted by the probability that each energy implies.
 
-    Energies that differ by that of one frame count as a factor of e; solutions that are hardly probable do not count.
+    Energies that differ by one frame's energy differ by a factor of e in probability.
     """
     probable = np.exp(-(it.energy_times - 1.0) * len(it.clip))
     counts = np.flatnonzero(probable >= MIN_SOLUTION_PROBABILITY)
@@ -64,102 +69,87 @@ def solution_spread(it: SolvedEvidence) -> float:
 
 
 def contact_gap(it: SolvedEvidence) -> float:
-    """Measure the distance between regions of the hand and the object.
-
-    It is the mean over regions and frames, in the object's diameters.
-    """
+    """Compute the distance of the hand's contact regions from the object [diameters], mean over regions and frames."""
     return _log_offset(np.clip(it.region_distance, 0.0, MAX_CONTACT_GAP_M).mean() / it.diameter, 3e-3)
 
 
 def size_shift(it: SolvedEvidence) -> float:
-    """Return the shift along the ray that the scale check implies, in the object's diameters.
-
-    Nothing where its size was free.
-    """
+    """Compute the shift along the ray that the scale check implies [diameters]; 0 where the scale was not checked."""
     centre = se3.transform(it.clip.hand.T_cam_hand @ it.poses, it.scale * it.clip.mesh.centre[None])
     away = np.linalg.norm(centre, axis=-1).mean()
     return _log_offset(np.nan_to_num(abs(it.scale_check[0] - 1.0)) * away / it.diameter, 0.02)
 
 
 def seen_size(it: SolvedEvidence) -> float:
-    """Measure how much of the object is seen: the side of a square of its mask's area at the hand, in its diameters."""
+    """Compute the side of a square of the mask's area, at the hand's distance [diameters]."""
     focal = np.sqrt(it.clip.K[:, 0, 0] * it.clip.K[:, 1, 1])
     return _log_offset(np.median(np.sqrt(it.mask_area) * it.depth / focal) / it.diameter, 0.02)
 
 
 def hand_misfit(it: SolvedEvidence) -> float:
-    """Return the share of the hand's pixels that differ from its silhouette; where it is unknown, what is too much."""
+    """Return the fraction of the hand's pixels that differ from its silhouette; ``UNSEEN_HAND_MISFIT`` if unknown."""
     return _log_offset(float(np.nan_to_num(it.hand_differing, nan=UNSEEN_HAND_MISFIT)), 0.01)
 
 
 def mean_penetration(it: SolvedEvidence) -> float:
-    """Measure how deep the hand is in the object at the deepest, mean over frames, in its diameters."""
+    """Compute the depth of the hand's deepest point in the object [diameters], mean over frames."""
     return _log_offset(np.maximum(-it.to_object, 0.0).max(axis=1).mean() / it.diameter, 0.01)
 
 
 def joint_error(it: SolvedEvidence) -> float:
-    """Return the logarithm of the 2D joints' error, in shares of the hand's box; without joints, ``DEFAULT_JOINT_ERROR``'."""
+    """Return the error of the hand's 2D joints [fractions of its box]; without joints, ``DEFAULT_JOINT_ERROR``."""
     return _log_offset(float(np.nan_to_num(it.joint_error, nan=DEFAULT_JOINT_ERROR)), 0.01)
 
 
 def depth_source_level(it: SolvedEvidence) -> float:
-    """Return 0 without depth images, 1 with a network's, 2 with a sensor's."""
+    """Return the source of depth images: 0 for none, 1 for a network, 2 for a sensor."""
     depth = it.clip.evidence.get(DEPTH_KEY)
     return 0.0 if not isinstance(depth, Depth) else 2.0 if depth.source.source == "sensor" else 1.0
 
 
 def _log_offset(value: float | Float[ndarray, ""], least: float) -> float:
-    """Return the logarithm of a number that is never below zero, and hardly counts below ``least``."""
+    """Logarithm of a number of at least 0, with an offset: below ``least`` differences hardly count."""
     return float(np.log(max(float(value), 0.0) + least))
 
 
 FEATURES: tuple[Feature, ...] = (
     Feature("energy-gap", energy_gap, 1),
     Feature("solution-spread", solution_spread, -1),
-    Feature("pose-spread", lambda it: _log_offset(it.spread, 1e-4), -1),  # that masks and contact leave [diameters]
-    Feature("mask-misfit", lambda it: _log_offset(it.misfit, 0.05), -1),  # of ``fitting.stages.mesh_deformation``
-    Feature("mesh-deformation", lambda it: it.deformed, -1),  # to meet the masks [diameters]
+    Feature("pose-spread", lambda it: _log_offset(it.spread, 1e-4), -1),  # left by masks and contact [diameters]
+    Feature("mask-misfit", lambda it: _log_offset(it.misfit, 0.05), -1),  # ``fitting.stages.mesh_deformation``
+    Feature("mesh-deformation", lambda it: it.deformed, -1),  # towards the masks [diameters]
     Feature("size-shift", size_shift, -1),
     Feature("contact-gap", contact_gap, -1),
     Feature("depth-order", lambda it: _log_offset(np.nanmax(it.in_front), 0.01), -1),  # pixels with the other in front
-    Feature("off-axis-turn", lambda it: _log_offset(it.off_axis, 5e-3), -1),  # besides that about the axis [rad]
-    Feature(
-        "hand-shift", lambda it: (it.hand_shift / it.diameter) ** 2, -1
-    ),  # usual corrections succeed, large ones not
+    Feature("off-axis-turn", lambda it: _log_offset(it.off_axis, 5e-3), -1),  # besides the axis's angle [rad]
+    Feature("hand-shift", lambda it: (it.hand_shift / it.diameter) ** 2, -1),  # small corrections usually succeed
     Feature("hand-turn", lambda it: it.hand_turn**2, -1),  # by the refinement [rad]
     Feature("seen-size", seen_size, 1),
 )
 HAND_FEATURES: tuple[Feature, ...] = (
-    Feature(
-        "hand-spread", lambda it: _log_offset(it.hand_spread / it.diameter, MIN_HAND_SPREAD), -1
-    ),  # that its evidence leaves
+    Feature("hand-spread", lambda it: _log_offset(it.hand_spread / it.diameter, MIN_HAND_SPREAD), -1),
     Feature("hand-misfit", hand_misfit, -1),
     Feature("penetration", mean_penetration, -1),
     Feature("joint-error", joint_error, -1),
     Feature("depth-images", depth_source_level, 1),
 )
-"""Signs of the hand and of the evidence on it."""
-ESTIMATED_FEATURE_NAMES = (
-    "energy-gap", "solution-spread", "pose-spread", "mask-misfit", "contact-gap", "hand-turn",
-    *(sign.name for sign in HAND_FEATURES),
-)  # fmt: skip
-ESTIMATED_FEATURES = tuple(sign for sign in (*FEATURES, *HAND_FEATURES) if sign.name in ESTIMATED_FEATURE_NAMES)
-"""Signs that count where hands are estimated (``checks.calibration``): few, since more were worse for other objects."""
+"""Features of the hand and of the evidence on it."""
+_ESTIMATED = ("energy-gap", "solution-spread", "pose-spread", "mask-misfit", "contact-gap", "hand-turn")
+ESTIMATED_FEATURES = (*(feature for feature in FEATURES if feature.name in _ESTIMATED), *HAND_FEATURES)
+"""Features of results with estimated hands (``checks.calibration``): few, since more were worse for other objects."""
 
 
-CORRECTED_FEATURES = (
-    *FEATURES,
-    *(sign for sign in HAND_FEATURES if sign.name in ("hand-spread", "hand-misfit", "penetration")),
-)
-"""Signs that count where a measured hand was corrected."""
+_CORRECTED = ("hand-spread", "hand-misfit", "penetration")
+CORRECTED_FEATURES = (*FEATURES, *(feature for feature in HAND_FEATURES if feature.name in _CORRECTED))
+"""Features of results with corrected measured hands."""
 
 
 def was_corrected(signs: Mapping[str, float]) -> bool:
-    """Say whether a measured hand was solved with the object, since its evidence turned it far: its spread is not 0."""
+    """Return whether a measured hand was solved jointly with the object, as its spread shows: it is not 0."""
     return signs.get("hand-spread", -np.inf) > np.log(MIN_HAND_SPREAD) + 1e-6
 
 
 def compute_features(it: SolvedEvidence) -> dict[str, float]:
-    """Compute every sign of a result, by its name; unknown ones are left out."""
-    measured = {sign.name: float(sign.measure(it)) for sign in (*FEATURES, *HAND_FEATURES)}
+    """Compute all known features of a result, by name."""
+    measured = {feature.name: float(feature.measure(it)) for feature in (*FEATURES, *HAND_FEATURES)}
     return {name: value for name, value in measured.items() if not np.isnan(value)}

@@ -1,13 +1,11 @@
-"""The order of masks and hands: the given one, compared with the reverse and with shifts.
+"""Checks of inputs: sizes and distances that a grasp makes plausible, the side of the hand, the order of frames.
 
-Masks that come a few frames late hardly displace their middles; but the hand's own pixels come late with them, and its
-outline shows a frame or two where it moves (``mask_delay``).
+While a grasp is stable, a point fixed in the hand stays near the centroid of the object's mask in every frame, and the
+rendered hand over the ignored pixels that belong to the hand. Masks that fit much better in another order (reversed, or
+shifted) are probably in the wrong one. Where hand and camera hardly move, all orders fit equally.
 
-While a grasp is stable, a point that is fixed in the hand lies near the middle of the object's mask in every frame. So
-does the drawn hand over the pixels that are ignored, where they are the hand's. Masks that fit so much better in
-another order are probably in the wrong one. Where hand and camera hardly move, all orders fit alike.
-
-Forms, sizes and distances that cannot be far from usual while a hand holds an object, and the side of a hand.
+Masks that are a few frames late hardly displace their centroids; but the pixels of the hand are late, too, and its
+outline shows a delay of a frame or two where it moves (``mask_delay``).
 """
 
 from __future__ import annotations
@@ -23,23 +21,33 @@ from getagrip.checks.evidence import Evidence
 from getagrip.geometry.mesh import face_areas
 from getagrip.metrics.contact import close_holes
 
-UNKNOWN_VALUE = float("nan")
+WRIST_JOINT, INDEX_MCP, MIDDLE_MCP, PINKY_MCP = 0, 5, 9, 17
+"""Indices of the 21 joints: the wrist, and the first joints of three fingers."""
+FOUR_FINGER_MCP_JOINTS, FOUR_FINGERTIP_JOINTS = np.array([5, 9, 13, 17]), np.array([8, 12, 16, 20])
+HAND_PRIOR_DISTANCE_M = 0.15
+"""Distance from the hand's middle at which the prior on the point has a hundredth of the weight of the masks [m]."""
+MIN_SHIFTED_FRACTION = 0.6
+"""Minimum fraction of the frames that overlap after a shift."""
+MIN_ORDER_FRAMES = 5
+"""Minimum number of frames whose order is checked."""
+MIN_CENTROID_ERROR, MIN_HAND_OVERLAP = 0.05, 0.05
+"""Minimum distance, in sizes of the mask, and minimum overlap that are distinguished."""
 
 
 def size_at_scale(it: Evidence, scale: str, size: float) -> float:
-    """Return a relative size where the object's size is "known", or where it is "free"; elsewhere it says nothing."""
-    return size if it.clip.scale == scale else UNKNOWN_VALUE
+    """Return ``size`` where the clip's scale is ``scale`` ("known" or "free"), else NaN."""
+    return size if it.clip.scale == scale else np.nan
 
 
 def lifted_hand_size(it: Evidence) -> float:
-    """Return how many times as large as a mean hand a lifted one is, where depth or the object's size tells it."""
+    """Return the size of a lifted hand, relative to a mean hand, where depth or the object's size determine it."""
     if it.clip.size_beside_hand:
         return 1.0 / it.scale
-    return UNKNOWN_VALUE if it.clip.hand_scale == 1.0 else it.clip.hand_scale
+    return np.nan if it.clip.hand_scale == 1.0 else it.clip.hand_scale
 
 
 def edge_share(it: Evidence) -> float:
-    """Measure the share of the image's edge that the masks cover, median over frames; all of it for the background."""
+    """Compute the fraction of the image's edge that the masks cover, median over frames; 1 for the background."""
     each = [(mask[[0, -1]].mean(), mask[:, [0, -1]].mean()) for mask in it.masks.object]
     edges = np.array(each).T
     width, height = it.clip.size
@@ -47,65 +55,54 @@ def edge_share(it: Evidence) -> float:
 
 
 def focal_jump(it: Evidence) -> float:
-    """Return the largest factor by which the focal length changes from one frame to the next."""
+    """Compute the largest ratio of focal lengths of consecutive frames."""
     steps = np.abs(np.diff(np.log(it.clip.K[:, [0, 1], [0, 1]]), axis=0))
     return float(np.exp(steps.max(initial=0.0)))
 
 
 def median_hand_object_gap(it: Evidence) -> float:
-    """Measure the smallest distance of hand and object, median over frames [mm]; 0 where they touch."""
+    """Compute the least distance of hand and object, median over frames [mm]; 0 in contact."""
     return 1e3 * float(np.median(np.maximum(it.to_object.min(axis=1), 0.0)))
 
 
 def penetration_depth(it: Evidence) -> float:
-    """Measure the depth of the hand's deepest point inside the object, median over frames [mm]."""
+    """Compute the depth of the hand's deepest point inside the object, median over frames [mm]."""
     return 1e3 * float(np.median(np.maximum(-it.to_object.min(axis=1), 0.0)))
 
 
 def second_contact_gap(it: Evidence) -> float:
-    """Measure the distance of the second nearest contact region of the hand, median over frames [mm].
-
-    0 where it touches.
-    """
+    """Compute the distance of the second nearest contact region of the hand, median over frames [mm]; 0 in contact."""
     regions = it.region_distance
-    return (
-        1e3 * float(np.median(np.maximum(np.sort(regions, axis=1)[:, 1], 0.0)))
-        if regions.shape[1] > 1
-        else UNKNOWN_VALUE
-    )
+    if regions.shape[1] < 2:
+        return np.nan
+    return 1e3 * float(np.median(np.maximum(np.sort(regions, axis=1)[:, 1], 0.0)))
 
 
 def hole_share(it: Evidence) -> float:
-    """Compute the share of the holes in the area of mesh and holes together; holes are closed by fans."""
+    """Compute the fraction of the holes in the area of mesh and holes; holes are closed by fans."""
     mesh = it.clip.mesh
     area = face_areas(*close_holes(mesh.vertices, mesh.faces))
     return float(area[len(mesh.faces) :].sum() / area.sum())
 
 
 def extents(it: Evidence) -> list[float]:
-    """Return the sides of the box around the mesh along its principal axes, as shares of the largest; it comes last."""
+    """Compute the sides of the mesh's box along its principal axes, relative to the largest, in ascending order."""
     about = it.clip.mesh.vertices - it.clip.mesh.vertices.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov(about.T))
     sides = np.sort(np.ptp(about @ axes, axis=0))
     return np.asarray(sides / sides[-1]).tolist()
 
 
-WRIST_JOINT, INDEX_MCP, MIDDLE_MCP, PINKY_MCP = 0, 5, 9, 17
-"""Indices among the 21 joints: the wrist, and the first joints of three fingers."""
-FOUR_FINGER_MCP_JOINTS, FOUR_FINGERTIP_JOINTS = np.array([5, 9, 13, 17]), np.array([8, 12, 16, 20])
-
-
 def finger_bend(it: Evidence) -> float:
-    """Measure how far the fingers bend towards the palm of a hand of the clip's side, median over frames [degrees].
+    """Compute the angle by which the fingers bend towards the palm, median over frames [degrees]; NaN without joints.
 
-    Negative where they would bend backwards: it is the other hand. NaN for hands without joints.
-
-    Seen with the palm in front and the fingers up, a right hand's index lies to the right of its little finger; so
-    little finger to index, crossed with wrist to fingers, points out of the palm, where bent fingers go.
+    It is negative for the hand of the other side. With the palm in front and the fingers up, a right hand's index is
+    right of its little finger: the vector from little finger to index, crossed with wrist to fingers, points out of the
+    palm, towards bent fingers.
     """
     joints = it.clip.hand.joints
     if joints is None:
-        return UNKNOWN_VALUE
+        return np.nan
     along = _normalize(joints[:, MIDDLE_MCP] - joints[:, WRIST_JOINT])
     out = _normalize(np.cross(joints[:, INDEX_MCP] - joints[:, PINKY_MCP], along))
     fingers = (joints[:, FOUR_FINGERTIP_JOINTS] - joints[:, FOUR_FINGER_MCP_JOINTS]).mean(axis=1)
@@ -117,23 +114,13 @@ def _normalize(v: Float[ndarray, "T 3"]) -> Float[ndarray, "T 3"]:
     return np.asarray(v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12))
 
 
-HAND_PRIOR_DISTANCE_M = 0.15
-"""The point is pulled towards the hand's middle by a hundredth of the weight of the masks at this distance [m]."""
-MIN_SHIFTED_FRACTION = 0.6
-"""Shifted masks must still be those of this share of the frames."""
-MIN_ORDER_FRAMES = 5
-"""Fewer frames have no order."""
-MIN_CENTROID_ERROR, MIN_HAND_OVERLAP = 0.05, 0.05
-"""Smaller distances, in sizes of the mask, and smaller overlaps count as these."""
-
-
 @dataclass(frozen=True)
 class MaskDelay:
-    """By how much the hand's pixels come late.
+    """The delay of the masks behind the hands.
 
     Attributes:
-        frames: number of frames by which masks are late, counted as their names are; negative: early.
-        times: how many times better the hands overlap them then; 1: they are in time. NaN where no pixels are given.
+        frames: delay in frames, counted by their names; negative: masks are early.
+        times: factor by which hands overlap their pixels better without the delay; 1: no delay. NaN without pixels.
     """
 
     frames: int
@@ -146,16 +133,16 @@ class MaskDelay:
 
 
 def centroid_error(it: Evidence) -> float:
-    """Measure the distance of the masks' middles from a point that moves with the hand, in roots of the mask's area."""
+    """Compute the distance of the masks' centroids from a point that moves with the hand [roots of the mask's area]."""
     here = np.flatnonzero(it.mask_area > 0)
     return _centroid_rmse(it, here, here) if len(here) >= MIN_ORDER_FRAMES else float("nan")
 
 
 def reordering_gain(it: Evidence) -> float:
-    """Return how many times better the masks fit the hands in another order than in the given one; 1: none is better.
+    """Compute the factor by which the masks fit the hands better in another order; 1: in none.
 
-    The distance of the masks' middles in the given order over that in the other; times, likewise, the overlap of hands
-    and ignored pixels, where there are any.
+    The factor is the ratio of the centroids' errors, times the ratio of the overlaps of hands and ignored pixels, if
+    any.
     """
     shown = it.mask_area > 0
     overlap = _pairwise_iou(it.drawn_hands, it.small_ignore) if it.masks.say_what_hides else None
@@ -173,7 +160,7 @@ def reordering_gain(it: Evidence) -> float:
 
 
 def mask_delay(it: Evidence) -> MaskDelay:
-    """Find the shift at which the hands overlap their own pixels best: ``masks/hand``, else those ignored."""
+    """Find the shift at which the hands best overlap their masks or, without hand masks, the ignored pixels."""
     pixels, known = it.small_hand_pixels, it.masks.known
     best = MaskDelay(0, 1.0 if pixels[known].any() and len(pixels) >= MIN_ORDER_FRAMES else float("nan"))
     overlap, when = _pairwise_iou(it.drawn_hands, pixels), it.clip.time * it.clip.fps
@@ -189,14 +176,14 @@ def mask_delay(it: Evidence) -> MaskDelay:
 
 
 def _candidate_orders(count: int) -> Iterator[tuple[Int[ndarray, "n"], Int[ndarray, "n"]]]:
-    """Frames, and the frames whose masks they might have: in reverse, and shifted either way."""
+    """Yield frames and, for each, the frame whose mask it may have: reversed, and shifted either way."""
     every = np.arange(count)
     yield every, every[::-1]
     yield from _frame_shifts(count)
 
 
 def _frame_shifts(count: int) -> Iterator[tuple[Int[ndarray, "n"], Int[ndarray, "n"]]]:
-    """Frames, and those by one or more earlier or later."""
+    """Yield frames, and the same frames shifted by one or more."""
     every = np.arange(count)
     for shift in range(1, int((1.0 - MIN_SHIFTED_FRACTION) * count) + 1):
         yield every[shift:], every[:-shift]
@@ -204,13 +191,13 @@ def _frame_shifts(count: int) -> Iterator[tuple[Int[ndarray, "n"], Int[ndarray, 
 
 
 def _centroid_rmse(it: Evidence, frames: Int[ndarray, "n"], masks: Int[ndarray, "n"]) -> float:
-    """Root mean square distance of the masks' middles from the projection of the best point in the hand."""
+    """Root mean square distance of the masks' centroids from the projection of the best point fixed in the hand."""
     hand, K = it.clip.hand, it.clip.K[frames]
     T = hand.T_cam_hand[frames]
     middle = it.hand_middle[frames].mean(axis=0)
     P = K @ T[:, :3]
     uv, depth = it.centroids[masks], it.depth[frames]
-    rows = (P[:, :2] - uv[..., None] * P[:, 2:]) / depth[:, None, None]  # (n, 2, 4): pixels off, nearly
+    rows = (P[:, :2] - uv[..., None] * P[:, 2:]) / depth[:, None, None]  # (n, 2, 4): approximate pixel errors
     size = max(np.sqrt(np.median(it.mask_area[masks])), _expected_size(it))
     rows = rows / size
     A, b = rows[..., :3].reshape(-1, 3), -(rows @ np.append(middle, 1.0)).ravel()
@@ -220,10 +207,9 @@ def _centroid_rmse(it: Evidence, frames: Int[ndarray, "n"], masks: Int[ndarray, 
 
 
 def _expected_size(it: Evidence) -> float:
-    """Return half of the object's diameter in the image, where it is known [px].
+    """Half of the object's diameter in the image [px], about the root of a whole mask's area; 0 for a free scale.
 
-    That is about the root of the area of a whole mask. The little that the hand leaves visible of an object may lie
-    anywhere in it.
+    It is a lower bound on the mask's size: the part of an object that a hand leaves visible may lie anywhere in it.
     """
     if it.clip.scale != "known":
         return 0.0
@@ -232,7 +218,6 @@ def _expected_size(it: Evidence) -> float:
 
 
 def _pairwise_iou(hands: Bool[ndarray, "T h w"], pixels: Bool[ndarray, "T h w"]) -> Float[ndarray, "T T"]:
-    """Overlap (IOU) of each drawn hand with the pixels of each frame."""
     hands, pixels = (x.reshape(len(x), -1).astype(np.float32) for x in (hands, pixels))
     both = hands @ pixels.T
     either = hands.sum(axis=1)[:, None] + pixels.sum(axis=1)[None] - both

@@ -1,14 +1,11 @@
-"""Agreement of masks where they differ from the result: if they agree, the result is wrong and not the masks.
+"""Checks of results: masks that agree with each other against the result, frames that fit less, and regrasps.
 
-Where a right result differs from rough masks, it does so elsewhere in each frame. A wrong pose, hand, mesh or camera
-differs from exact masks at the same side of the object in successive frames. Where it meets most masks and some
-successive ones much less, these masks lack a part, or their hands are wrong.
+A right result differs from rough masks at random places in each frame. A wrong pose, hand, mesh or camera differs from
+exact masks at the same side of the object in consecutive frames. If most masks are met, and consecutive ones much less,
+these masks lack a part of the object, or their hands are wrong.
 
-A clip with all that a fit has found for it, as the signs of a right result look at it.
-
-Regrasps: one step of the object in the hand that is far larger than all others.
-
-So it does where a hand lets go and grasps again; a clip is to hold one stable grasp.
+A regrasp is one step of the object in the hand that is far larger than all others: the hand lets go and grasps again,
+but a clip is meant to have one stable grasp.
 """
 
 from __future__ import annotations
@@ -30,22 +27,41 @@ from getagrip.metrics.symmetry import find_symmetries, surface_points
 from getagrip.result import Axis, Candidates
 
 N_COMPARED_FRAMES, N_COMPARED_POINTS = 5, 200
-"""Frames in which candidates are compared, and points of the object's surface."""
+"""Number of frames and of surface points at which candidates are compared."""
+MAX_GOOD_MISFIT, MIN_GOOD_IOU = 3.0, 0.9
+"""Limits beyond which the agreement of masks is checked: maximum misfit, minimum IOU."""
+MIN_BUILT_IN_IOU = 0.85
+"""Minimum IOU for a built-in shape, which is not the object's. The misfit is not checked for it: in 45 grasps of videos
+it was large for two right results and no wrong one."""
+N_DIFFERENCE_CELLS = 8
+"""Number of cells along either side of the square around a mask; cells are larger than the motion between frames."""
+MIN_DIFFERENCE_CORRELATION = 0.5
+"""Correlation of differences in consecutive frames above which masks agree. In trials on 8 synthetic clips, contours
+off by 4 px anew in each frame had at most 0.43 beside right poses, and at least 0.85 in the four of 20 frames with
+wrongly turned hands (no command repeats these trials)."""
+UNEVEN_IOU_RATIO = 0.9
+"""IOU relative to the median below which a frame is met less than the others."""
+MIN_REGRASP_FRAMES = 8
+"""Minimum number of frames in which a regrasp is looked for."""
+USUAL_STEP_RANK = 3
+"""Rank, by size, of the step that represents the clip's usual step."""
+N_REGRASP_POINTS = 200
+"""Number of surface points whose steps are averaged."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SolvedEvidence(Evidence):
-    """A fitted clip at the frames that were fitted together; its hand is the one that the poses are relative to.
+    """A solved clip at the sampled frames, with the hand in which its poses are given; features are computed from it.
 
     Attributes:
-        T_hand_obj: (T, 4, 4) poses that were found.
-        iou: (T,) overlap of rendered and observed mask.
-        candidates: the best distinct solutions in these frames; the first is the one that was found.
-        axis: the axis that was found, where the method has one.
-        T_cam_hand_input: (T, 4, 4) poses of the hand as it was given.
-        spread: standard deviation of the pose that the energy leaves, in diameters; NaN where it is not known.
+        T_hand_obj: (T, 4, 4) found poses.
+        iou: (T,) IOU of rendered and observed mask.
+        candidates: the best distinct solutions in these frames; the first is the result.
+        axis: the found axis; None for methods without one.
+        T_cam_hand_input: (T, 4, 4) poses of the input hand.
+        spread: standard deviation of the pose that the energy leaves [diameters]; NaN if unknown.
         hand_spread: standard deviation of an object in the hand that the evidence on the hand leaves [m].
-        joint_error: error of the hand's 2D joints, estimated from the clip [shares of the hand's box]; NaN: none count.
+        joint_error: error of the hand's 2D joints, estimated from the clip [fractions of its box]; NaN without joints.
     """
 
     candidates: Candidates
@@ -57,7 +73,7 @@ class SolvedEvidence(Evidence):
 
     @property
     def poses(self) -> Float[ndarray, "T 4 4"]:
-        """``T_hand_obj``, which is known here."""
+        """``T_hand_obj``, which is never None here."""
         assert self.T_hand_obj is not None
         return self.T_hand_obj
 
@@ -68,15 +84,15 @@ class SolvedEvidence(Evidence):
 
     @property
     def energy_times(self) -> Float[ndarray, "K"]:
-        """How many times as large as the least energy those of the candidates are."""
+        """Energies of the candidates, relative to the least."""
         energy = np.maximum(self.candidates.energy, 1e-9)
         return np.asarray(energy / energy.min())
 
     @cached_property
     def apart(self) -> Float[ndarray, "K"]:
-        """Distance of each candidate's surface from that of the first, in diameters.
+        """Distance of each candidate's surface from the first one's [diameters].
 
-        Means of the distances to the nearest point, so that symmetric poses are not apart.
+        Mean distance to the nearest point, so that it is 0 for symmetric poses.
         """
         from scipy.spatial import cKDTree
 
@@ -90,22 +106,17 @@ class SolvedEvidence(Evidence):
         return np.maximum(np.mean(off, axis=1) - 0.5 * np.mean(nearest), 0.0) / self.diameter
 
     def vertices_apart(self, k: int) -> float:
-        """Return the distance of a candidate's vertices from those of the first, in diameters.
-
-        The distance is ADD, up to symmetries.
-        """
+        """Compute the distance of a candidate's vertices from the first one's [diameters]: ADD, up to symmetries."""
         if k == 0:
             return 0.0
-        few, mesh = frame_indices(len(self.clip), N_COMPARED_FRAMES), self.clip.mesh
-        first, other = (
-            ObjectTrack(self.candidates.T_hand_obj[n, few], float(self.candidates.scale[n])) for n in (0, k)
-        )
+        few, mesh, found = frame_indices(len(self.clip), N_COMPARED_FRAMES), self.clip.mesh, self.candidates
+        first, other = (ObjectTrack(found.T_hand_obj[n, few], float(found.scale[n])) for n in (0, k))
         symmetry = best_symmetry(mesh, other, first, find_symmetries(mesh))
         return float(pose_errors(mesh, other, first, symmetry).add.mean()) / self.diameter
 
     @cached_property
     def off_axis(self) -> float:
-        """Angle by which the motion is off a rotation about the axis, root mean square [rad]."""
+        """Angle between the motion and a rotation about its axis, root mean square [rad]."""
         R = self.poses[:, :3, :3]
         if self.axis is not None:
             R = se3.exp_so3(-self.axis.angle[:, None] * self.axis.direction) @ R
@@ -125,57 +136,32 @@ class SolvedEvidence(Evidence):
         return float(se3.angle_between(T[:, :3, :3], value[:, :3, :3]).mean())
 
 
-UNKNOWN_VALUE = float("nan")
-MAX_GOOD_MISFIT, MIN_GOOD_IOU = 3.0, 0.9
-"""A result that is better than both is not looked at."""
-MIN_BUILT_IN_IOU = 0.85
-"""A result of a built-in shape, which is not the object's, is looked at only if it is worse. In 45 grasps of videos its
-misfit alone was large for two right results, and for no wrong one."""
-N_DIFFERENCE_CELLS = 8
-"""Cells of the square about a mask along either side, in which differences are summed: motion moves them by less."""
-MIN_DIFFERENCE_CORRELATION = 0.5
-"""Correlation of differences in successive frames from which masks agree. In trials on 8 synthetic clips with contours
-off by 4 px in each frame anew it was at most 0.43 beside poses found right, and at least 0.85 in the four of 20 frames
-with hands that turn wrongly (seen in trials, no command repeats it)."""
-
-UNEVEN_IOU_RATIO = 0.9
-"""Frames whose IOU is below this share of the median one are met less than the others."""
-
-
 def consistent_contour_misfit(it: Evidence) -> float:
-    """Return the contours' misfit to masks that agree with each other (``Evidence.misfit``).
-
-    It is NaN where they do not, and for a built-in shape.
-    """
-    return (
-        it.misfit
-        if it.misfit > MAX_GOOD_MISFIT
-        and not it.shape_assumed
-        and difference_correlation(it) > MIN_DIFFERENCE_CORRELATION
-        else UNKNOWN_VALUE
-    )
+    """Return the misfit of contours to masks that agree with each other; else, and for built-in shapes, NaN."""
+    checked = it.misfit > MAX_GOOD_MISFIT and not it.shape_assumed
+    return it.misfit if checked and _masks_agree(it) else np.nan
 
 
 def consistent_mean_iou(it: Evidence) -> float:
-    """Return the IOU with masks that agree with each other.
+    """Return the IOU with masks that agree with each other; NaN if they do not.
 
-    It is NaN where they do not, or where contours are near: then the object is small in the image.
+    It is NaN, too, where contours are near: then the object is small in the image.
     """
     iou, usual = float(np.nanmean(it.overlaps)), MIN_BUILT_IN_IOU if it.shape_assumed else MIN_GOOD_IOU
-    return (
-        iou
-        if iou < usual and not it.misfit <= MAX_GOOD_MISFIT and difference_correlation(it) > MIN_DIFFERENCE_CORRELATION
-        else UNKNOWN_VALUE
-    )
+    return iou if iou < usual and not it.misfit <= MAX_GOOD_MISFIT and _masks_agree(it) else np.nan
+
+
+def _masks_agree(it: Evidence) -> bool:
+    return difference_correlation(it) > MIN_DIFFERENCE_CORRELATION
 
 
 def min_iou_ratio(it: Evidence) -> float:
-    """Return the least IOU as a share of the median one; single frames do not count."""
+    """Compute the least IOU relative to the median one; single frames do not count."""
     return float(_iou_by_median(it).min(initial=1.0))
 
 
 def describe_low_iou_frames(it: Evidence) -> str:
-    """Name the frames about the least IOU that are met less than the others."""
+    """Name the consecutive frames, around the least IOU, that are met less than the others."""
     by_median = _iou_by_median(it)
     worst, usual = int(by_median.argmin()), np.flatnonzero(by_median >= UNEVEN_IOU_RATIO)
     first = int(usual[usual < worst].max(initial=-1)) + 1
@@ -189,51 +175,41 @@ def describe_low_iou_frames(it: Evidence) -> str:
 
 
 def _iou_by_median(it: Evidence) -> Float[ndarray, "n"]:
-    """Return the IOU of each frame with a mask by the median one: the median of three frames in a row."""
+    """IOU of each frame with a mask, median of three consecutive frames, relative to the median of all."""
     iou = it.overlaps[~np.isnan(it.overlaps)]
     if len(iou) < 3:
         return np.ones(len(iou))
-    padded = np.pad(iou, 1, mode="reflect")  # a first or last frame does not count alone, either
+    padded = np.pad(iou, 1, mode="reflect")  # the first or last frame alone does not count, either
     return np.asarray(np.median([padded[:-2], iou, padded[2:]], axis=0) / max(np.median(iou), 1e-9))
 
 
 def difference_correlation(it: Evidence) -> float:
-    """Correlate the differences between mask and silhouette in successive frames, median; 0 where none follow."""
+    """Correlate the differences between mask and silhouette of consecutive frames, median; 0 without such frames."""
     each = [_mask_difference(it, int(n)) for n in np.flatnonzero(it.mask_area > 0)]
     alike = [_correlate(a, b) for a, b in pairwise(each)]
     return float(np.median(alike)) if alike else 0.0
 
 
 def _mask_difference(it: Evidence, n: int) -> Float[ndarray, "g g"]:
-    """Pixels of the mask alone less those of the silhouette alone, outside ignored ones, in cells about the mask."""
+    """Count mask pixels minus silhouette pixels, outside the ignore mask, in each cell around the mask."""
     mask, ignored = it.masks.object[n], it.masks.ignore[n]
     silhouette = render_coverage(it.posed[n], it.clip.mesh.faces, it.clip.K[n], it.clip.size)
     rows, columns = np.nonzero(mask ^ (silhouette & (mask | ~ignored)))
     half = float(np.max(it.boxes[n, 2:] - it.boxes[n, :2]))
-    across, down = (
-        ((at - middle) / half + 1.0) * N_DIFFERENCE_CELLS / 2.0
-        for at, middle in zip((columns, rows), it.centroids[n], strict=True)
-    )
+    offsets = zip((columns, rows), it.centroids[n], strict=True)
+    across, down = (((at - middle) / half + 1.0) * N_DIFFERENCE_CELLS / 2.0 for at, middle in offsets)
     edges = np.arange(N_DIFFERENCE_CELLS + 1.0)
     return np.histogram2d(down, across, (edges, edges), weights=np.where(mask[rows, columns], 1.0, -1.0))[0]
 
 
 def _correlate(a: Float[ndarray, "g g"], b: Float[ndarray, "g g"]) -> float:
-    """Correlate two differences; 0 where one is nothing."""
+    """Correlate two differences; 0 where one is zero."""
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(np.sum(a * b)) / size if size else 0.0
 
 
-MIN_REGRASP_FRAMES = 8
-"""Fewer frames tell no step from another."""
-USUAL_STEP_RANK = 3
-"""Rank of the step that counts as a usual one in the clip."""
-N_REGRASP_POINTS = 200
-"""Points of the object's surface."""
-
-
 def object_steps(it: Evidence) -> Float[ndarray, "n"]:
-    """Return the step of the object's surface in the hand between frames (root mean square), in diameters."""
+    """Compute the step of the object's surface in the hand between frames, root mean square [diameters]."""
     assert it.T_hand_obj is not None
     surface = se3.transform(it.T_hand_obj, it.scale * surface_points(it.clip.mesh, N_REGRASP_POINTS)[None])
     moved = np.sqrt(np.square(surface[1:] - surface[:-1]).sum(axis=-1).mean(axis=-1))
@@ -241,14 +217,14 @@ def object_steps(it: Evidence) -> Float[ndarray, "n"]:
 
 
 def regrasp_jump(it: Evidence) -> float:
-    """Return the largest step, less two usual ones; NaN for few frames."""
+    """Compute the largest step minus two usual ones [diameters]; NaN for few frames."""
     if len(it.clip) < MIN_REGRASP_FRAMES:
-        return float("nan")
+        return np.nan
     largest = np.sort(object_steps(it))[::-1]
     return max(float(largest[0] - 2.0 * largest[USUAL_STEP_RANK]), 0.0)
 
 
 def describe_largest_step(it: Evidence) -> str:
-    """Say between which frames the largest step is."""
+    """Name the two frames of the largest step."""
     n = int(np.argmax(object_steps(it)))
     return f"from frame {it.clip.frames[n]} to {it.clip.frames[n + 1]}"

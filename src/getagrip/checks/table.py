@@ -1,4 +1,4 @@
-"""The table of checks: what each measures, what is usual, and what to do about the rest."""
+"""The tables of checks: the measure, usual range, fault and advice of each."""
 
 from __future__ import annotations
 
@@ -11,7 +11,13 @@ from getagrip.clip import intrinsics, modalities
 from getagrip.io.plugins import PluginTable
 
 MIN_MEAN_IOU = 0.5
-"""A result whose mean IOU is below this explains nothing, however well the minimisation ended."""
+"""Mean IOU below which a result has failed, whatever the status of the minimisation."""
+CAMERA_ADVICE = "give the camera of these images: K is scaled and cropped with them"
+CONTOUR_MISFIT_MESSAGE = "contours are {value} times as far from the masks' as they would be with the object's own mesh"
+MISFIT_ADVICE = (
+    "compare the contours in the report: mend masks that show a box, a shadow, the hand or only a part of the object; "
+    "where the masks are right, the mesh or the hand's pose is wrong"
+)
 
 
 def describe_outlier_masks(it: Evidence) -> str:
@@ -24,35 +30,27 @@ def describe_outlier_masks(it: Evidence) -> str:
 
 
 def preferred_scale(it: Evidence) -> str:
-    """Say which scale the energy prefers."""
+    """Name the scale that the energy prefers."""
     factor, gain = it.scale_check
-    return f"{factor:.2f} times its size would explain the masks and the hand better, by {format_percent(gain)} of the energy"
+    better = f"{factor:.2f} times its size would explain the masks and the hand better"
+    return f"{better}, by {format_percent(gain)} of the energy"
 
 
 def describe_regrasp(it: Evidence) -> str:
-    """Say where the object moves to another place in the hand."""
-    return f"the object jumps in the hand {results.describe_largest_step(it)}, by {format_diameter_share(results.regrasp_jump(it))} more than elsewhere"
+    """Name the frames of a regrasp."""
+    excess = format_diameter_share(results.regrasp_jump(it))
+    return f"the object jumps in the hand {results.describe_largest_step(it)}, by {excess} more than elsewhere"
 
 
 def describe_deformation(it: Evidence) -> str:
-    """Say how far the mesh was deformed."""
+    """Name the size of the mesh's deformation."""
     return f"to meet the masks the mesh was deformed by {it.deformed_mm:.1f} mm, so its shape is an assumption"
 
 
 def camera_mismatch(it: Evidence) -> str:
-    """Say which images the camera seems to belong to."""
+    """Name the images to which the camera seems to belong."""
     return intrinsics.camera_warning(it.clip.K, it.clip.size)
 
-
-CAMERA_ADVICE = "give the camera of these images: K is scaled and cropped as they are"
-
-
-CONTOUR_MISFIT_MESSAGE = "contours are {value} times as far from the masks' as they would be with the object's own mesh"
-MISFIT_ADVICE = (
-    "compare the contours in the report: mend masks that show a box, a shadow, the hand or only a part of the object; "
-    "where the masks are right, the mesh or the hand's pose is wrong"
-)
-"""Advice on contours that are off the masks."""
 
 _OWN_INPUT_CHECKS: tuple[Check, ...] = (
     Check(
@@ -62,7 +60,7 @@ _OWN_INPUT_CHECKS: tuple[Check, ...] = (
     ),
     Check(
         "mesh-open", inputs.hole_share, high=0.01, serious=False, shown=format_percent,
-        fault="the mesh is open, by {value} of its surface", advice="what is inside it is a guess; close it",
+        fault="the mesh is open, by {value} of its surface", advice="its inside is uncertain: close it",
     ),
     Check(
         "mesh-flat", lambda it: inputs.extents(it)[0], low=0.005, shown=format_percent,
@@ -71,7 +69,7 @@ _OWN_INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "mesh-needle", lambda it: inputs.extents(it)[1], low=0.015, shown=format_percent,
         fault="the mesh's width is {value} of its length",
-        advice="check that it is this object's, and not stretched along one axis",
+        advice="check that the mesh is this object's, and not stretched along one axis",
     ),
     Check(
         "object-size", lambda it: inputs.size_at_scale(it, "known", it.clip.mesh.diameter / it.hand_size),
@@ -93,7 +91,7 @@ _OWN_INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "mask-at-edges", inputs.edge_share, high=0.7, shown=format_percent,
         fault="the masks cover {value} of the image's edge",
-        advice="they look like masks of the background, or of the whole image: check their label",
+        advice="the masks seem to be of the background or the whole image: check their label",
     ),
     Check(
         "principal-point", lambda it: intrinsics.principal_point_offset(it.clip.K, it.clip.size),
@@ -115,17 +113,17 @@ _OWN_INPUT_CHECKS: tuple[Check, ...] = (
     ),
     Check(
         "hand-side", inputs.finger_bend, low=-5.0, shown="{:.3g} degrees".format,
-        fault="the fingers bend by {value} towards the palm that such a hand would have",
-        advice="it is the other hand, or a mirrored one: correct \"side\" in clip.json, or the hand",
+        fault="the fingers bend by {value} towards the palm of a hand of this side",
+        advice="the hand is the other one, or mirrored: correct \"side\" in clip.json, or the hand",
     ),
     Check(
         "many-tracker-glitches", lambda it: it.glitch_share, high=0.3, shown=format_percent,
         fault=lambda it: str(it.glitches),
-        advice="check that it is the same hand in all frames; --given-hands uses it unchanged",
+        advice="check that all frames have the same hand; --given-hands uses the input hand unchanged",
     ),
     Check(
         "tracker-glitches", lambda it: it.glitch_share, high=0.0, serious=False,
-        fault=lambda it: str(it.glitches), advice="--given-hands uses it unchanged",
+        fault=lambda it: str(it.glitches), advice="--given-hands uses the input hand unchanged",
     ),
     Check(
         "frame-order", inputs.reordering_gain, high=2.5,
@@ -164,11 +162,11 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
     Check(
         "uneven-mask-fit", results.min_iou_ratio, low=results.UNEVEN_IOU_RATIO, serious=False, shown=format_percent,
         fault=results.describe_low_iou_frames,
-        advice="look at these frames: draw the part of the object that their masks lack, or correct the hand there",
+        advice="look at these frames: draw the part of the object that their masks lack, or correct the hand in them",
     ),
     Check(
         "many-outlier-masks", lambda it: it.outlier_share, high=0.3, shown=format_percent,
-        fault=describe_outlier_masks, advice="check that they are all of the same object; --given-masks uses all",
+        fault=describe_outlier_masks, advice="check that all masks show the same object; --given-masks uses all",
     ),
     Check(
         "outlier-masks", lambda it: it.outlier_share, high=0.0, serious=False,
@@ -176,28 +174,32 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
     ),
     Check(
         "mesh-much-deformed", lambda it: it.deformed, high=0.06, shown=format_diameter_share,
-        fault=describe_deformation, advice="check that it is the mesh of such an object; --given-mesh takes it as it is",
+        fault=describe_deformation,
+        advice="check that the mesh is of such an object; --given-mesh uses it undeformed",
         of_shape=True,
     ),
     Check(
         "mesh-deformed", lambda it: it.deformed, high=0.0, serious=False,
         fault=describe_deformation,
-        advice="it is not the object's own, or all masks are off alike; --given-mesh takes it as it is", of_shape=True,
+        advice="the mesh is not the object's own, or all masks have the same error; --given-mesh uses it undeformed",
+        of_shape=True,
     ),
     Check(
         "wrong-size", lambda it: it.scale_check[1], high=0.3, shown=format_percent, fault=preferred_scale,
         advice="check that mesh and hand have their real sizes; an unknown size is \"scale\": \"free\"",
     ),
     Check(
-        "other-size", lambda it: it.scale_check[1], high=0.15, serious=False, shown=format_percent, fault=preferred_scale,
+        "other-size", lambda it: it.scale_check[1], high=0.15, serious=False, shown=format_percent,
+        fault=preferred_scale,
         advice="check that mesh and hand have their real sizes, and the hand its real distance",
     ),
     Check(
         "regrasp", results.regrasp_jump, high=0.06, serious=False, shown=format_percent, fault=describe_regrasp,
-        advice="if it is not one stable grasp, cut the clip there",
+        advice="unless the clip is one stable grasp, cut it at these frames",
     ),
     Check(
-        "large-mask-misfit", results.consistent_contour_misfit, high=6.0, fault=CONTOUR_MISFIT_MESSAGE + ", and the masks agree with each other",
+        "large-mask-misfit", results.consistent_contour_misfit, high=6.0,
+        fault=CONTOUR_MISFIT_MESSAGE + ", and the masks agree with each other",
         advice=MISFIT_ADVICE, of_shape=True,
     ),
     Check(
@@ -207,14 +209,14 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
     Check(
         "hand-off-pixels", lambda it: it.hand_differing if it.masks.hand is not None else np.nan,
         high=0.4, shown=format_percent,
-        fault="the hand's silhouette and its pixels (masks/hand) differ by {value} of these, and no correction helps",
+        fault="the hand's silhouette differs from its mask (masks/hand), by {value} of the mask; no correction helps",
         advice="check the hand's poses, size and side, the camera, and the label of its masks",
     ),
     Check(
         "hand-off-ignored", lambda it: it.hand_differing if it.masks.hand is None else np.nan,
         high=0.4, serious=False, shown=format_percent,
-        fault="the hand's silhouette and the ignored pixels there differ by {value} of these, and no correction helps",
-        advice="if nothing else is ignored there, check the hand's poses, size and side, and the camera",
+        fault="the hand's silhouette differs from the ignored pixels nearby, by {value} of these; no correction helps",
+        advice="if only the hand is ignored, check its poses, size and side, and the camera",
     ),
     Check(
         "object-over-hand", lambda it: it.in_front[0], high=0.2, shown=format_percent,
@@ -225,12 +227,12 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
     Check(
         "hand-over-object", lambda it: it.in_front[1], high=0.25, serious=False, shown=format_percent,
         fault="the hand is in front of the object in {value} of the object's mask",
-        advice="mend masks that include what the hand hides, or the hand itself; else one is at the wrong distance",
+        advice="mend masks that include the hand or hidden parts; else hand or object is at the wrong distance",
     ),
     Check(
         "second-gap", inputs.second_contact_gap, high=12.0, serious=False, shown=format_millimetres,
         fault="only one part of the hand is near the object, the next is {value} away",
-        advice="if it is not held with one part only, sizes or distances of hand and object do not agree",
+        advice="unless one part alone holds the object, sizes or distances of hand and object are inconsistent",
     ),
     Check(
         "contact-gap", inputs.median_hand_object_gap, high=15.0, shown=format_millimetres,
@@ -240,12 +242,12 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
     Check(
         "penetration", inputs.penetration_depth, high=35.0, serious=False, shown=format_millimetres,
         fault="the hand is {value} inside the object in half of the frames",
-        advice="hands, mesh size or pose are off by about as much",
+        advice="hands, mesh size or pose have errors of about this size",
     ),
     Check(
         "opening-away", lambda it: it.turned_away, high=15.0, serious=False,
         fault="the object's opening points away from the camera, by {value} degrees",
-        advice="if it is upside down, take another candidate: tilted towards the camera it looks nearly the same",
+        advice="if the object is upside down, take another candidate: tilted towards the camera it looks similar",
     ),
     Check(
         "result-size", lambda it: inputs.size_at_scale(it, "free", it.scale * it.clip.mesh.diameter / it.hand_size),
@@ -262,11 +264,9 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
 
 
 def _check_table(kind: str, own: tuple[Check, ...]) -> PluginTable[Check]:
-    """Make the table of checks by name."""
     named = {check.name: check for check in own}
-    return PluginTable(
-        kind, named, "a Check of the same name", lambda name, it: isinstance(it, Check) and it.name == name
-    )
+    expected = "a Check of the same name"
+    return PluginTable(kind, named, expected, lambda name, it: isinstance(it, Check) and it.name == name)
 
 
 INPUT_CHECKS = _check_table("input_checks", _OWN_INPUT_CHECKS)
@@ -274,13 +274,11 @@ RESULT_CHECKS = _check_table("result_checks", _OWN_RESULT_CHECKS)
 
 
 def input_checks() -> tuple[Check, ...]:
-    """Return ``INPUT_CHECKS``, and those of each modality."""
+    """Return ``INPUT_CHECKS``, and the input checks of each modality."""
     return (*INPUT_CHECKS.working().values(), *(check for modality in modalities() for check in modality.input_checks))
 
 
 def result_checks() -> tuple[Check, ...]:
-    """Return ``RESULT_CHECKS``, and those of each modality."""
-    return (
-        *RESULT_CHECKS.working().values(),
-        *(check for modality in modalities() for check in modality.result_checks),
-    )
+    """Return ``RESULT_CHECKS``, and the result checks of each modality."""
+    own = RESULT_CHECKS.working().values()
+    return (*own, *(check for modality in modalities() for check in modality.result_checks))

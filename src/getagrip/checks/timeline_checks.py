@@ -1,7 +1,7 @@
-"""The checks of a timeline: each segment by those that apply to its state, and the clip by the others.
+"""The checks of a timeline: each segment by the checks of its state, and the clip by the others.
 
-What holds of a stable grasp by itself holds of one in a timeline: hands and masks move together, hand and object touch.
-In other states the object need not be near the hand, which is as it was given there.
+Checks of a stable grasp apply to the grasps of a timeline: hands and masks move together, hand and object touch. In
+other states the object may be far from the hand, which is the input hand.
 """
 
 from __future__ import annotations
@@ -22,27 +22,40 @@ from getagrip.geometry.rasterize import render_coverage
 from getagrip.result.findings import Finding
 
 MIN_OBJECT_RANGE_M, MAX_OBJECT_RANGE_M = 0.05, 20.0
-"""Distances from the camera [m] that are plausible of an object, as they are of a given hand."""
+"""Plausible distances of an object from the camera [m], equal to those of an input hand."""
 MIN_SHOWN_FRACTION = 0.5
-"""A mask with a smaller share of the largest one's pixels shows too little of the object to tell where that is."""
+"""Fraction of the largest mask's pixels below which a mask shows too little of the object to locate it."""
+MAX_SEGMENT_FRAMES = 30
+"""Maximum number of a segment's frames that are checked: as many as are fitted together."""
+HAND_SIDE_CHECK = "hand-side"
+"""Name of the check of the other hand in its grasps; the clip's own hand is checked in the whole clip."""
+GRASP_CHECKS = (
+    "mask-size", "visible-size", "frame-order", "frames-late", "masks-follow-hand", "object-over-hand",
+    "hand-over-object", "regrasp", "second-gap", "contact-gap", "penetration",
+)  # fmt: skip
+"""Checks that assume a grasp, applied to the grasping hand."""
+MIN_SEEN_GRASP_FRAMES = 2
+"""Minimum number of frames of a grasp that must show the object."""
+UNSEEN_ADVICE = "this grasp has no evidence: add masks, or remove it if it is of another object"
+MASK_CHECKS = ("mask-fit", "poor-mask-fit", "worst-frame", "uneven-mask-fit")
+"""Checks of any segment's result."""
 
 
 def camera_distance(it: Evidence) -> float:
-    """Return the object's distance from the camera [m]: the least where that is too near, else the largest."""
+    """Compute the object's distance from the camera [m]: the least if that is too near, else the largest."""
     away = np.linalg.norm(it.posed.mean(axis=1), axis=1)
     return float(away.min() if away.min() < MIN_OBJECT_RANGE_M else away.max())
 
 
 def max_mask_pixels(it: Evidence) -> float:
-    """Return the pixels of the largest mask."""
+    """Return the number of pixels of the largest mask."""
     return float(it.mask_area.max())
 
 
 def mask_drift(it: Evidence) -> float:
-    """Measure how far masks move against the silhouette.
+    """Compute the motion of the masks against the silhouette [roots of the mask's area].
 
-    That is the distance of their middles from where it is in most frames, in sizes of the mask (the root of its area),
-    but for the tenth of the frames in which it is largest.
+    It is the 0.9 quantile of the distances of the centroids' offsets from their median offset.
     """
     offsets = []
     for n in np.flatnonzero(it.mask_area >= MIN_SHOWN_FRACTION * it.mask_area.max()):
@@ -77,32 +90,16 @@ STATIC_CHECK = Check(
 )  # fmt: skip
 
 
-MAX_SEGMENT_FRAMES = 30
-"""Number of frames of a segment that are checked: as many as are fitted together."""
-HAND_SIDE_CHECK = "hand-side"
-"""Name of the check of the other hand where that holds the object; of the clip's own it is a check of the whole."""
-GRASP_CHECKS = (
-    "mask-size", "visible-size", "frame-order", "frames-late", "masks-follow-hand", "object-over-hand",
-    "hand-over-object", "regrasp", "second-gap", "contact-gap", "penetration",
-)  # fmt: skip
-"""Checks that suppose a grasp, by the hand that holds the object."""
-MIN_SEEN_GRASP_FRAMES = 2
-"""Frames that must show the object in a grasp."""
-UNSEEN_ADVICE = "there is no evidence for this grasp: add masks there, or remove it if it is another object's"
-MASK_CHECKS = ("mask-fit", "poor-mask-fit", "worst-frame", "uneven-mask-fit")
-"""Checks of any segment's result."""
-
-
 @dataclass(frozen=True)
 class TimelineChecks:
     """The outcome of the checks of a timeline.
 
     Attributes:
-        checks: what was measured of the clip as a whole.
-        of_segments: what was measured of each segment.
-        of_clip: findings about the clip as a whole.
-        own: those about each segment; they begin with the segment's name, its state and first frame.
-        failed: the segments that hardly meet their masks, in words; empty: none.
+        checks: measured values of the whole clip.
+        of_segments: measured values of each segment.
+        of_clip: findings about the whole clip.
+        own: findings about each segment; messages begin with the segment's state and first frame.
+        failed: the segments whose masks are not met, in words; empty without any.
     """
 
     checks: dict[str, float]
@@ -113,7 +110,7 @@ class TimelineChecks:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """All findings."""
+        """All findings, first those about the whole clip."""
         return (*self.of_clip, *(one for some in self.own for one in some))
 
 
@@ -127,7 +124,7 @@ def check_timeline(
     T_cam_other_hand: Float[ndarray, "T 4 4"] | None = None,
     glitches: Glitches | None = None,
 ) -> TimelineChecks:
-    """Check a timeline and its result: the poses that were found, hands corrected, and IOU, NaN where unobserved."""
+    """Check a timeline and its result: found poses, corrected hands, and IOU (NaN where no mask shows the object)."""
     T_hand_obj = se3.inverse(T_cam_hand) @ T_cam_obj
     whole = Evidence(clip.with_hand_at(T_cam_hand, T_cam_other_hand), masks, T_hand_obj, scale, iou, glitches=glitches)
     every = (*INPUT_CHECKS.working().values(), *RESULT_CHECKS.working().values(), JUMP_CHECK)
@@ -145,7 +142,6 @@ def check_timeline(
 
 
 def _check_segment(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
-    """Run the checks of one segment."""
     assert whole.iou is not None
     assert whole.T_hand_obj is not None
     iou = whole.iou[segment.rows]
@@ -167,12 +163,11 @@ def _check_segment(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[
     seen_at = with_evidence(with_masks(by.take(rows), masks))
     names = tuple(clip.frames[n] for n in segment.rows)
     result = Evidence(seen_at, masks, T_hand_obj[rows], whole.scale, iou, names)
-    checks = [
-        c for c in RESULT_CHECKS.working().values() if c.name in MASK_CHECKS or (grasped and c.name in GRASP_CHECKS)
-    ]
+    applied = (*MASK_CHECKS, *GRASP_CHECKS) if grasped else MASK_CHECKS
+    checks = [check for check in RESULT_CHECKS.working().values() if check.name in applied]
     checks += [*SEGMENT_CHECKS, *((STATIC_CHECK, FLOATING_CHECK) if segment.state == "static" else ())]
-    there = [one for one in modalities() if one.of(seen_at) is not None]
-    checks += [check for one in there for check in (*one.input_checks, *one.result_checks)]
+    present = [one for one in modalities() if one.of(seen_at) is not None]
+    checks += [check for one in present for check in (*one.input_checks, *one.result_checks)]
     measured, findings = run_checks(checks, result)
     if not grasped:
         return measured, findings
@@ -182,17 +177,13 @@ def _check_segment(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[
 
 
 def _swap_hands(clip: Clip) -> Clip:
-    """Return the clip with the other hand for its own."""
     swapped = clip.with_side(clip.other_side)
     assert swapped is not None
     return swapped
 
 
 def boundary_jump(it: Evidence) -> float:
-    """Measure the largest movement of the surface across a border of two segments [diameters].
-
-    The largest movement within a segment is subtracted.
-    """
+    """Compute the largest step of the surface between two segments, minus the largest within one [diameters]."""
     surface = _surface_in_world(it, frame_indices(len(it.clip.mesh.vertices), 100))
     step = np.sqrt(np.mean(np.sum(np.diff(surface, axis=0) ** 2, axis=-1), axis=-1))
     border = np.isin(np.arange(1, len(it.clip)), [segment.first for segment in it.clip.segments])
@@ -203,7 +194,7 @@ def boundary_jump(it: Evidence) -> float:
 
 
 def support_height(it: Evidence) -> float:
-    """Return the height of the lowest point over the support plane, median over frames [mm]; NaN without a plane."""
+    """Compute the height of the lowest point over the support plane, median over frames [mm]; NaN without a plane."""
     world = it.clip.world
     if world is None or world.up is None or world.support is None:
         return float("nan")
@@ -212,7 +203,7 @@ def support_height(it: Evidence) -> float:
 
 
 def _surface_in_world(it: Evidence, some: Int[ndarray, "n"]) -> Float[ndarray, "T n 3"]:
-    """Pose some of the object's vertices in the world; without one, before the camera."""
+    """Pose some of the object's vertices in the world frame; without a world, in the camera frame."""
     assert it.T_hand_obj is not None
     T = it.clip.hand.T_cam_hand @ it.T_hand_obj
     if it.clip.world is not None:
@@ -227,6 +218,6 @@ JUMP_CHECK = Check(
 )  # fmt: skip
 FLOATING_CHECK = Check(
     "floats", support_height, low=-15.0, high=15.0, serious=False, shown=format_millimetres,
-    fault="it lies {value} above the support plane",
-    advice="right if it lies on something else; else check world_support, the mesh's size and the camera",
+    fault="the object lies {value} above the support plane",
+    advice="right if it lies on another object; else check world_support, the mesh's size and the camera",
 )  # fmt: skip

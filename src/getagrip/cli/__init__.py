@@ -1,6 +1,6 @@
-"""The command line: which commands there are, and what errors say.
+"""The command line: the table of commands, ``getagrip --help``, and the entry point with its exit statuses.
 
-The commands, one file each: options and body.
+Each command has a file with its options and body.
 """
 
 from __future__ import annotations
@@ -8,9 +8,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-import traceback
 from collections.abc import Collection, Iterable, Sequence
-from contextlib import nullcontext, redirect_stdout
 from difflib import get_close_matches
 from functools import reduce
 from inspect import cleandoc
@@ -26,7 +24,7 @@ from tyro.conf import OmitArgPrefixes, subcommand
 from getagrip import __version__
 from getagrip.cli.annotate import Annotate
 from getagrip.cli.bench import Benches, move_source_first
-from getagrip.cli.command import Command
+from getagrip.cli.command import Command, print_error
 from getagrip.cli.demo import Demo
 from getagrip.cli.doctor import Doctor
 from getagrip.cli.draft import Draft
@@ -44,12 +42,11 @@ from getagrip.cli.reproduce.epic_grasps import ReproduceEpic
 from getagrip.cli.segment import Segment
 from getagrip.cli.study import Stats, Study
 from getagrip.cli.synthesise import Synthesise
-from getagrip.errors import GetagripError, UsageError, escape_unprintable, unknown_choice_error
+from getagrip.errors import GetagripError, escape_unprintable, unknown_choice_error
 from getagrip.io import processes
 from getagrip.io.options import PATH_REGISTRY, explain_all
-from getagrip.io.terminal import NullOutput
 
-# Commands share their work between processes, one for each core. Said before numpy is loaded, which reads it once.
+# Commands share their work between processes, one for each core. numpy reads this once, when it is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 PROGRAM_DESCRIPTION = (
@@ -61,14 +58,11 @@ BENCH_DESCRIPTION = "Compare methods on a dataset, or on a folder of clips: the 
 FIGURE_DESCRIPTION = "Draw figures of results, as the paper has them."
 IMPORT_DESCRIPTION = "Import datasets; or hands, masks, depth, cameras or segments into clips."
 HELP_INDENT = 27
-"""Column in which ``--help`` explains the commands."""
+"""Column of the explanations in ``--help``."""
 
 
 def command_groups(imports: Any, figures: Any) -> dict[str, tuple[Any, ...]]:
-    """Make all commands, by what they are for: the headings of ``--help``.
-
-    ``imports`` is what ``import`` takes, ``figures`` what ``figure`` takes.
-    """
+    """Make all commands, by the headings of ``--help``; ``imports`` and ``figures`` are unions of subcommands."""
     return {
         "Start": (
             Annotated[Demo, subcommand("demo")],
@@ -113,7 +107,7 @@ def command_union(imports: Any, figures: Any) -> Any:
 
 
 def overview() -> str:
-    """Write what ``getagrip --help`` prints: the commands under their headings."""
+    """Write the text of ``getagrip --help``: the commands under their headings."""
     width = get_terminal_size().columns
     lines = ["usage: getagrip COMMAND [-h] ...", "", *wrap(PROGRAM_DESCRIPTION, width)]
     for heading, group in command_groups(Command, Command).items():
@@ -126,21 +120,21 @@ def overview() -> str:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run a command. Returns 0 when all is done, 1 when some of it failed, 2 when the call is wrong."""
+    """Run a command. Returns 0 if all is done, 1 if part of it failed, 2 for wrong arguments."""
     _open_closed_output()
     try:
         status = _run_command(sys.argv[1:] if args is None else args)
         sys.stdout.flush()
         return status
-    except BrokenPipeError:  # whoever read the output has enough of it, as with `| head`
+    except BrokenPipeError:  # the reader of the output has ended, as with `| head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141  # as for a process that SIGPIPE ends
 
 
 def _open_closed_output() -> None:
-    """Let output that is closed (``>&-``) go nowhere; else printing fails, or a file that is opened takes its place.
+    """Discard output to a closed stream (``>&-``); else printing fails, or goes to the next file that is opened.
 
-    Letters that an output lacks, as that of a Windows console, are written as escapes.
+    Letters that an output cannot encode, such as a Windows console's, are written as escapes.
     """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -154,26 +148,21 @@ def _run_command(args: Sequence[str]) -> int:
     try:
         command = _parse_command(args)
         processes.raise_on_interrupt()
-        command.check()
-        with redirect_stdout(NullOutput()) if command.quiet else nullcontext():
-            return command.run()
+        return command.run_checked()
     except BrokenPipeError:
         raise
     except KeyboardInterrupt:
         print("interrupted; what was finished is kept", file=sys.stderr)
         return processes.INTERRUPT_EXIT_STATUS
     except (GetagripError, OSError) as error:
-        if "--debug" in args:
-            print(escape_unprintable(traceback.format_exc(), "\n"), file=sys.stderr)
-        print(f"getagrip: {escape_unprintable(str(error))}", file=sys.stderr)
-        return 2 if isinstance(error, UsageError) else 1
+        return print_error(error, "--debug" in args)
 
 
 def _parse_command(args: Sequence[str]) -> Command:
     """Parse the arguments of a call. Ends the process after ``--help``, and for arguments that fit no command."""
     imports: Any = Command
     figures: Any = Command
-    if args and args[0] == "import":  # what it takes is declared with the readers, which take longer to load
+    if args and args[0] == "import":  # its options are declared with the readers, which take longer to load
         from getagrip.cli.datasets import subcommands
 
         imports = subcommands(*args[1:2])
@@ -189,7 +178,7 @@ def _parse_command(args: Sequence[str]) -> Command:
         sys.exit(0 if args else 2)
     known: Any = command_union(imports, figures)
     program, description = "getagrip", PROGRAM_DESCRIPTION
-    while parts := _subcommands_by_name(known):  # its own command is enough, and several times as quick
+    while parts := _subcommands_by_name(known):  # parsing only the command's own options is several times as quick
         if program == "getagrip bench":
             args = move_source_first(args, parts)
         args = join_command_words(args, parts, f"{program} ".removeprefix("getagrip "))
@@ -205,19 +194,16 @@ def _parse_command(args: Sequence[str]) -> Command:
 
 
 def _subcommands_by_name(choice: Any) -> dict[str, Any]:
-    """List the commands of a union, by the words that are typed; none for a command without subcommands."""
+    """Return the commands of a union by name; none for a command without subcommands."""
     union = get_args(choice)[0] if get_origin(choice) is Annotated else choice
     return {one.__metadata__[0].name: one for one in get_args(union) if get_origin(one) is Annotated}
 
 
 def join_command_words(words: Sequence[str], names: Collection[str], before: str = "") -> list[str]:
-    """Join the words that name a command into one.
+    """Join the words that name a command into one; end the process for an unknown command.
 
-    Ends the process where they name none.
-
-    They are checked before the options, each of which would be reported as unknown with them.
-
-    ``names`` are the commands, of one word or two, and ``before`` is the command whose subcommands they are.
+    ``names`` are the commands, of one word or two, and ``before`` is the command whose subcommands they are. Commands
+    are checked before options, which would otherwise all be reported as unknown.
     """
     if not words or words[0].startswith("-"):
         return list(words)
@@ -232,16 +218,14 @@ def join_command_words(words: Sequence[str], names: Collection[str], before: str
     if begun and (asked or len(words) == 1):
         print(f"getagrip: incomplete command {words[0]!r}; choose from {', '.join(alike)}", file=sys.stderr)
     else:
-        value = " ".join(words[:2]) if begun else words[0]
-        print(
-            f"getagrip: {escape_unprintable(str(unknown_choice_error('command', before + value, alike or names)))}",
-            file=sys.stderr,
-        )
+        value = before + (" ".join(words[:2]) if begun else words[0])
+        error = unknown_choice_error("command", value, alike or names)
+        print(f"getagrip: {escape_unprintable(str(error))}", file=sys.stderr)
     sys.exit(2)
 
 
 def _similar_names(word: str, names: Iterable[str]) -> list[str]:
-    """Return the names that begin with a word or, if there is none, the one most like it."""
+    """Return the names that begin with a word or, without any, the most similar one."""
     spelt = {spelling: name for name in names for spelling in (name, name.split()[0])}
     alike = [name for name in spelt if name.startswith(word)] or get_close_matches(word, spelt, n=1)
     return [*dict.fromkeys(spelt[name] for name in alike)]

@@ -1,4 +1,4 @@
-"""``getagrip annotate``: serve the page until it is interrupted, or write what has been marked."""
+"""``getagrip annotate``: serve the page of annotations until it is interrupted, or import or export annotations."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 
 from getagrip.cli.command import Command
 from getagrip.errors import InputError, UsageError
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.io import files
 from getagrip.io.options import Flag, Folder, OptionalFile
 from getagrip.io.terminal import format_count, print_note
@@ -21,15 +21,13 @@ from getagrip.io.terminal import format_count, print_note
 if TYPE_CHECKING:
     from getagrip.studio.project import Project
     from getagrip.studio.store.labels import Labels
-    from getagrip.studio.store.marks import Grasp
     from getagrip.studio.store.tasks import Task
 
 MARKS_DATABASE = "marks.sqlite"
-"""The marks, in the folder of the annotations."""
-EMPTY_SHAPE: Mapping[str, object] = {}
-"""Nothing is known of the object's shape."""
+"""The database of marks, in the folder of the annotations."""
+UNKNOWN_SHAPE: Mapping[str, object] = {}
 TOKENS_FOLDER = "tokens"
-"""The folder, in the user's state folder, of what the addresses of pages hold."""
+"""Folder of the secrets in the addresses of pages, in the user's state folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,20 +57,20 @@ class Annotate(Command):
     """With --import-labels and --import-segments: the annotator to whom they are attributed."""
 
     def run(self) -> int:
-        """Serve the page for a source; or take labels, or write what is marked and labelled as files into ``out``.
+        """Serve the page for a source; or import labels or segments, or export marks and labels to ``out``.
 
-        Returns 1 where files could not be made of some grasp, else 0. Raises ``InputError`` for a source or database
-        that is malformed, ``UsageError`` for a ``port`` that is taken; without one a free one is used.
+        Returns 1 if the files of a grasp could not be made, else 0. Raises ``InputError`` for a malformed source or
+        database, ``UsageError`` for a ``port`` in use; the default is a free one.
         """
         from getagrip.clip.intrinsics import compute_intrinsics
         from getagrip.studio.project import Project
         from getagrip.studio.store.export_all import write_labelled_grasps, write_mark_files
+        from getagrip.studio.store.history import RefusedError
         from getagrip.studio.store.mark_store import MarkStore
         from getagrip.studio.store.tasks import read_tasks
 
         tasks = read_tasks(self.source, self.videos)
-        absent = [task for task in tasks if task.path is None]
-        if absent:
+        if absent := [task for task in tasks if task.path is None]:
             missing = f"no footage of {len(absent)} of them, as {files.printable(absent[0].video)}"
             print_note(f"{len(tasks)} candidates, {missing}")
         out, imported = self.out, self.import_labels is not None or self.import_segments is not None
@@ -82,18 +80,22 @@ class Annotate(Command):
         out.mkdir(parents=True, exist_ok=True)
         project = Project(tasks, MarkStore(out / MARKS_DATABASE), self.lens)
         try:
-            if self.lens.is_set and (there := next((task for task in tasks if task.path is not None), None)):
-                compute_intrinsics(
-                    self.lens, project.footage(there).size
-                )  # refused now rather than once joints are clicked
+            if self.lens.is_set and (task := next((task for task in tasks if task.path is not None), None)):
+                compute_intrinsics(self.lens, project.footage(task).size)  # which refuses a wrong lens before any click
             if labels is not None and self.import_labels is not None:
-                grasp = store_labels(project, labels, self.import_labels, self.annotator)
-                frames = (
-                    f"{format_count(len(labels.frames), 'key frame')} of {grasp.task.key}, {grasp.mark.start_number}"
-                )
-                print(f"{self.annotator}: {frames} to {grasp.mark.end_number}")
+                try:
+                    grasp = project.import_labels(labels, self.annotator)
+                except RefusedError as error:
+                    got = f"labels that do not fit ({error})"
+                    raise InputError(self.import_labels, "", got, "labels of the footage") from error
+                frames = f"{grasp.mark.start_number} to {grasp.mark.end_number}"
+                keys = format_count(len(labels.frames), "key frame")
+                print(f"{self.annotator}: {keys} of {grasp.task.key}, {frames}")
             if self.import_segments is not None:
-                count = store_segments(project, self.import_segments, self.annotator)
+                try:
+                    count = project.import_segments(self.import_segments, self.annotator)
+                except RefusedError as error:
+                    raise UsageError(str(error)) from error
                 print(f"{self.annotator}: {format_count(count, 'segment')}; give the page this name to correct them")
             if self.export:
                 return max(write_mark_files(project, out), write_labelled_grasps(project))
@@ -105,7 +107,7 @@ class Annotate(Command):
 
 
 def read_labels(path: Path, tasks: list[Task]) -> Labels:
-    """Read a file of labels. Raises ``InputError`` where it is malformed, or of none of the footage."""
+    """Read a file of labels. Raises ``InputError`` for a malformed file, and for labels of other footage."""
     from getagrip.studio.store import labels
     from getagrip.studio.store.export_clip import tasks_of_labels
     from getagrip.studio.store.history import RefusedError
@@ -118,31 +120,11 @@ def read_labels(path: Path, tasks: list[Task]) -> Labels:
     return value
 
 
-def store_labels(project: Project, labels: Labels, path: Path, annotator: str) -> Grasp:
-    """Take labels that were read from a file. Raises ``InputError`` where they are not of the footage."""
-    from getagrip.studio.store.history import RefusedError
+def serve(project: Project, port: int | None, annotator: str = "", shape: Mapping[str, object] = UNKNOWN_SHAPE) -> None:
+    """Serve the page until it is interrupted. Raises ``UsageError`` for a port in use.
 
-    try:
-        return project.import_labels(labels, annotator)
-    except RefusedError as error:
-        raise InputError(path, "", f"labels that do not fit ({error})", "labels of the footage") from error
-
-
-def store_segments(project: Project, path: Path, annotator: str) -> int:
-    """Take segments from a file. Raises ``InputError``, and ``UsageError`` where the annotator has marked some."""
-    from getagrip.studio.store.history import RefusedError
-
-    try:
-        return project.import_segments(path, annotator)
-    except RefusedError as error:
-        raise UsageError(str(error)) from error
-
-
-def serve(project: Project, port: int | None, annotator: str = "", shape: Mapping[str, object] = EMPTY_SHAPE) -> None:
-    """Serve the page until it is interrupted. Raises ``UsageError`` for a port that is taken.
-
-    With an ``annotator`` the page opens on the first grasp that they have marked, to be labelled, with the fields
-    ``mesh`` and ``size-mm`` filled in.
+    With an ``annotator`` the page opens on the annotator's first grasp, to be labelled; ``shape`` fills in the fields
+    ``mesh`` and ``size-mm``.
     """
     from urllib.parse import urlencode
 
@@ -150,9 +132,7 @@ def serve(project: Project, port: int | None, annotator: str = "", shape: Mappin
     from getagrip.studio.server import StudioServer, persistent_token, serve_on_free_port
 
     marks = sha256(os.fsencode(project.store.path.resolve())).hexdigest()[:16]
-    token = persistent_token(
-        state_folder() / TOKENS_FOLDER / marks
-    )  # not beside the marks: a folder may be a stranger's
+    token = persistent_token(state_folder() / TOKENS_FOLDER / marks)  # beside the marks, others might read it
     with serve_on_free_port(project, token) if port is None else StudioServer(project, port, token) as server:
         address = f"{server.url}#{urlencode({'annotator': annotator, **shape})}" if annotator else server.url
         print(f"open {address} in a browser; marks are kept in {project.store.path}; Ctrl-C ends", flush=True)

@@ -1,4 +1,4 @@
-"""``getagrip bench``: every clip of a source, and the tables of the paper."""
+"""``getagrip bench``: all clips of a source by several methods, and the paper's tables of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar, Union
 from tyro.conf import arg, subcommand
 
 from getagrip.batch.scheduling import Executors, SchedulingOptions
-from getagrip.bench.ablations import ComparisonOptions
+from getagrip.bench.options import ComparisonOptions
 from getagrip.bench.sources.ho3d_sequences import Ho3dEval
 from getagrip.bench.sources.recorded import DexYcb, DexYcbSequences, DexYcbTimelines, Hot3dTimelines, TimelineSource
 from getagrip.bench.sources.source import ClipFolder, ClipSource
@@ -22,7 +22,7 @@ from getagrip.fitting.options import Options, SearchOptions
 from getagrip.io.options import Flag, Folder, OptionalFile
 
 if TYPE_CHECKING:
-    from getagrip.bench.grasp_benchmark import GraspBenchmark
+    from getagrip.bench.grasps import GraspBenchmark
     from getagrip.bench.job import Benchmark
     from getagrip.bench.segments import SegmentBenchmark
     from getagrip.bench.timelines import TimelineBenchmark
@@ -33,7 +33,7 @@ T = TypeVar("T", bound=TimelineSource)
 
 @dataclass(frozen=True, kw_only=True)
 class Bench(Command, Generic[C]):
-    """The shared options and the run of all benchmarks. Existing results are kept."""
+    """The shared options and the run of all benchmarks; existing results are kept."""
 
     source: Annotated[C, arg(name="")]
     out: Folder
@@ -55,14 +55,14 @@ class Bench(Command, Generic[C]):
         return Options(**vars(self.search), every_frame=self.every_frame or self.source.every_frame)
 
     def benchmark(self) -> Benchmark[Any]:
-        """Make the benchmark, which is done with every clip. Raises ``UsageError`` where the call is wrong."""
+        """Make the benchmark that is run on every clip. Raises ``UsageError`` for options that do not fit."""
         raise NotImplementedError
 
     def run(self) -> int:
-        """Do what has no result yet and write the tables; 1 if a clip or a method failed, else 0.
+        """Make missing results and write the tables; return 1 if a clip or a method failed, else 0.
 
-        Several calls may share a folder: its ledger says who does which clip. Raises ``UsageError`` where the call is
-        wrong or there are no clips, ``GetagripError`` where the ledger cannot be written.
+        Several calls may share a folder, whose ledger distributes the clips. Raises ``UsageError`` for options that do
+        not fit and without clips, ``GetagripError`` for a ledger that cannot be written.
         """
         from getagrip.batch.clips import print_outcome
         from getagrip.batch.engine import Engine
@@ -83,9 +83,7 @@ class Bench(Command, Generic[C]):
         files.remove_stale_folders(self.out / "clips")
         chosen = [sample for sample in found if sample.name in self.share.shard]
         trials = benchmark.trials(chosen, files.folder_inside(self.out, "results"), self.overwrite)
-        engine = Engine(
-            work=run_trial, lost=failure_of, entry=benchmark.entry, options=repr(benchmark), prepare=preload_solver
-        )
+        engine = Engine(run_trial, failure_of, benchmark.entry, repr(benchmark), prepare=preload_solver)
         scores, failures = [], len(bad)
         with (
             Ledger(ledger_folder(self.out, self.share.ledger)) as ledger,
@@ -115,7 +113,7 @@ class BenchGrasps(Bench[C], Generic[C]):
     compared: Annotated[ComparisonOptions, arg(name="")] = field(default_factory=ComparisonOptions)
 
     def benchmark(self) -> GraspBenchmark:
-        from getagrip.bench.grasp_benchmark import GraspBenchmark
+        from getagrip.bench.grasps import GraspBenchmark
 
         return GraspBenchmark(self.source, self.options, self.compared)
 
@@ -149,24 +147,21 @@ BENCHES: tuple[tuple[object, type[ClipSource]], ...] = (
     (BenchTimelines[Hot3dTimelines], Hot3dTimelines),
     (BenchGrasps[ClipFolder], ClipFolder),
 )
-"""A line for each subcommand: what is run, and its source, whose fields are options."""
+"""The subcommands: benchmark, and the source whose fields are options."""
 
 
 def _bench_subcommands() -> object:
-    """Make a subcommand for each source."""
     kinds = [Annotated[bench, subcommand(source.dataset, description=source.__doc__)] for bench, source in BENCHES]
     return Union[tuple(kinds)]  # noqa: UP007
 
 
 Benches = _bench_subcommands()
-
-
 PATH_OPTIONS = ("--out", "--json", "--ledger", "--priors")
-"""Options whose values are paths, but not those of clips."""
+"""Options whose values are paths of other files than clips."""
 
 
 def move_source_first(words: Sequence[str], sources: Collection[str]) -> list[str]:
-    """Return the words behind ``bench`` with the source first: options may come before it."""
+    """Return the words behind ``bench`` with the source first, which users may write behind options."""
     if not words or words[0] in ("-h", "--help"):
         return list(words)
     alone = words[0] == ClipFolder.dataset and (len(words) == 1 or words[1].startswith("-"))  # a folder of that name

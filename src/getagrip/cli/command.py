@@ -1,27 +1,32 @@
-"""The base of all commands: the forms of arguments, checks before any work, and work on each of some clips.
+"""The base of all commands: types of arguments, checks before any work, and work on each of several clips.
 
-A command is a frozen dataclass of options and the body that runs them, in one file. The files of all commands but
-``import`` and ``figure`` are loaded for ``getagrip --help``: what only the body needs is imported in it.
+A command is a frozen dataclass of options with the body that runs them, in one file. ``getagrip --help`` loads the
+files of all commands but ``import`` and ``figure``: libraries that only a body needs are imported in the body.
 """
 
 from __future__ import annotations
 
+import sys
+import traceback
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext, redirect_stdout
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, Protocol, TypeVar, final
 
 from tyro.conf import Positional, arg
 
-from getagrip.errors import UsageError
+from getagrip.errors import InputError, UsageError, escape_unprintable
 from getagrip.io.options import Flag, one_of, place_argument
 from getagrip.io.storage import Place, RemotePath
-from getagrip.io.terminal import progress_bar, show_stage
+from getagrip.io.terminal import NullOutput, progress_bar, show_stage
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
 
+WARNING_EXIT_STATUS = 3
+"""Exit status where output was written, and part of it is assumed, missing or probably wrong."""
 Clips = Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIP...", help_behavior_hint="")]
 Sources = Annotated[
     Positional[tuple[Annotated[Place, place_argument("CLIP")], ...]], arg(metavar="CLIP...", help_behavior_hint="")
@@ -46,11 +51,11 @@ class Command:
     """Print warnings and errors only."""
 
     def run(self) -> int:
-        """Do it, and return the exit status."""
+        """Run the command, and return the exit status."""
         raise NotImplementedError
 
     def check(self) -> None:
-        """Raise ``UsageError``, before any work is done, where an output cannot be written."""
+        """Raise ``UsageError``, before any work is done, for an output that cannot be written."""
         from getagrip.io import files
 
         if isinstance(out := getattr(self, "out", None), RemotePath):
@@ -59,6 +64,34 @@ class Command:
             files.check_folder("--out", out)
         if (json := getattr(self, "json", None)) is not None:
             files.check_file("--json", json)
+
+    @final
+    def run_checked(self) -> int:
+        """Check the options, then run, without output if ``quiet``. Returns the exit status."""
+        self.check()
+        with redirect_stdout(NullOutput()) if self.quiet else nullcontext():
+            return self.run()
+
+
+def print_error(error: Exception, debug: bool) -> int:
+    """Print an error that ends a command, after its traceback with ``debug``. Returns the exit status."""
+    if debug:
+        print(escape_unprintable(traceback.format_exc(), "\n"), file=sys.stderr)
+    print(f"getagrip: {escape_unprintable(str(error))}", file=sys.stderr)
+    return 2 if isinstance(error, UsageError) else 1
+
+
+def refuse_existing(target: Path, overwrite: bool) -> None:
+    """Raise ``UsageError`` for an output that exists, unless it may be overwritten."""
+    if target.exists() and not overwrite:
+        raise UsageError(f"{target}: exists already; --overwrite replaces it")
+
+
+def failed_path_outcome(path: Path, error: Exception) -> Outcome:
+    """Make the outcome of a file or folder that failed; an ``InputError`` names its path itself."""
+    from getagrip.batch.job import failed_outcome
+
+    return failed_outcome("" if isinstance(error, InputError) else str(path), error)
 
 
 class ClipJob(Protocol):
@@ -74,16 +107,16 @@ R = TypeVar("R")
 
 def for_each_clip(
     paths: Sequence[Path],
-    job: Callable[[str, Path], J | None],
-    work: Callable[..., R | Outcome],
+    job: Callable[[str, Path], J],
+    work: Callable[..., R],
     workers: int | None,
     debug: bool,
 ) -> tuple[list[R], int]:
-    """Do the work for each clip; return the values in order, and how many failed, which is printed.
+    """Do the work for each clip; print failures, and return the values in order and the number of failures.
 
-    A path is a clip, or a folder of clips; ``job`` makes one of a clip's name and folder, or None for clips to be
-    passed over. ``work`` takes a job and, where it is done in this process, a function to call with its progress.
-    Raises ``UsageError`` where no path is given.
+    A path is a clip, or a folder of clips; ``job`` makes a job of a clip's name and folder. ``work`` takes a job and,
+    in this process only, a function that it calls with its progress; an exception fails that clip alone. Raises
+    ``UsageError`` without paths.
     """
     from getagrip.batch.clips import clips_by_name, print_outcome
     from getagrip.batch.executor import PROCESS_DIED_TWICE, for_each_job
@@ -96,7 +129,8 @@ def for_each_clip(
     clips, failed = clips_by_name(paths)
     for outcome in failed:
         print_outcome(outcome, debug)
-    jobs = [made for name, folder in clips.items() if (made := job(name, folder)) is not None]
+    jobs = [job(name, folder) for name, folder in clips.items()]
+    attempt = partial(_attempt, work)
 
     def died(one: J) -> R | Outcome:
         return Outcome(one.clip.name, "failed", PROCESS_DIED_TWICE)
@@ -112,8 +146,17 @@ def for_each_clip(
 
         def here(one: J) -> R | Outcome:
             bar.update(stage, visible=True)
-            return work(one, partial(show_stage, bar, stage, one.clip.name))
+            return attempt(one, partial(show_stage, bar, stage, one.clip.name))
 
-        results = for_each_job(work, jobs, died, ended, workers, here)
+        results = for_each_job(attempt, jobs, died, ended, workers, here)
     found = [result for result in results if not isinstance(result, Outcome)]
     return found, len(failed) + len(jobs) - len(found)
+
+
+def _attempt(work: Callable[..., R], job: J, *progress: Callable[[str, float], None]) -> R | Outcome:
+    from getagrip.batch.job import failed_outcome
+
+    try:
+        return work(job, *progress)
+    except Exception as error:  # one clip's failure must not end the others
+        return failed_outcome(job.clip.name, error)

@@ -1,7 +1,7 @@
-"""``getagrip import``: the datasets that it reads, a line for each, and the clips that it makes of them.
+"""``getagrip import``: the table of datasets, a subcommand each, and the imports into existing clips.
 
-The name is the subcommand's. The class stands with its reader: its fields are the subcommand's options. Those modules
-load numpy and more. So this one is loaded when the command is called, not for `getagrip --help`.
+The fields of a dataset's class, which is in the module of its reader, are the subcommand's options. The readers load
+numpy and more: this module is loaded for the command only, not for ``getagrip --help``.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class ImportEpic(EpicGrasps):
     """Initial poses of reconstruct --init priors, by category and hand: they are only checked."""
 
     def parts(self, note: Note) -> Sequence[Part]:
-        """List the videos, and report how the poses will be used, and whether they can be. Raises ``InputError``."""
+        """List the videos, and report whether and how the priors will be used. Raises ``InputError``."""
         parts = super().parts(note)
         if self.priors is not None:
             self._report(self.priors)
@@ -57,16 +57,9 @@ class ImportEpic(EpicGrasps):
 
 
 _BUILTIN_DATASETS: dict[str, type[Dataset]] = {
-    "hot3d": Hot3d,
-    "dexycb": DexYcb,
-    "arctic": Arctic,
-    "hoi4d": Hoi4d,
-    "ho3d": Ho3d,
-    "tracks": Tracks,
+    "hot3d": Hot3d, "dexycb": DexYcb, "arctic": Arctic, "hoi4d": Hoi4d, "ho3d": Ho3d, "tracks": Tracks,
     "epic": ImportEpic,
-}
-
-
+}  # fmt: skip
 NON_DATASET_IMPORTS = ("hands", "masks", "depth", "cameras", "segments")
 """Imports into existing clips."""
 
@@ -96,14 +89,13 @@ class Import(Command, Generic[D]):
 
 
 def _dataset_summary(dataset: type[Dataset]) -> str:
-    """Return the docstring of a dataset without its fields (``explain_all``)."""
     return (dataset.__doc__ or "").partition("\n\nAttributes:")[0]
 
 
 def subcommands(name: str = "") -> object:
-    """Return the subcommands of ``import``: a dataset each, then what goes into clips.
+    """Return the subcommands of ``import``: the datasets, then the imports into existing clips.
 
-    Behind a ``name`` that there is, nothing else of other packages is loaded. Raises ``UsageError`` where it cannot be.
+    For a known ``name`` no other plug-in is loaded. Raises ``UsageError`` for a plug-in that cannot be loaded.
     """
     datasets = {name: DATASETS[name]} if name in DATASETS else {} if name in NON_DATASET_IMPORTS else DATASETS.working()
     kinds = [

@@ -1,4 +1,4 @@
-"""``getagrip demo``: the whole way on a synthetic clip, from hands, masks and a mesh to a page that plays it."""
+"""``getagrip demo``: a synthetic clip, from hands, masks and a mesh to the page of its result."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 DEMO_CATEGORY, DEMO_SEED = "mug", 2
 N_DEMO_THREADS = 2
-"""More gain little."""
+"""Number of threads above which the time hardly falls."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,8 +27,8 @@ class Demo(Command):
     def run(self) -> int:
         """Write the clip to ``out/clips/``, and the result to ``out/<clip name>/``.
 
-        What an earlier demo left there is used again (the clip) or replaced (result and report). Raises ``UsageError``
-        where something else is in the way.
+        An earlier demo's clip is used again, its result and report are replaced. Raises ``UsageError`` for other files
+        at these places.
         """
         from getagrip.clip import input_sha256, read_masks
         from getagrip.compiling import COMPILATION_MESSAGE, compile_once
@@ -65,24 +65,23 @@ class Demo(Command):
 
             bar.update(steps, completed=3.0, description="draw the report")
             report = write_report(result, clip, masks, self.out / "report.png", evaluation.metrics)
-            page = write_page(
-                View.of(result, clip, masks), evaluation, read_result_record(folder), self.out / "report.html"
-            )
+            view, record = View.of(result, clip, masks), read_result_record(folder)
+            page = write_page(view, evaluation, record, self.out / "report.html")
             screen.print(f"report   {report} and, to be opened in a browser, {page}\n")
         screen.print(results_table([evaluation]))
         return 0
 
 
 def _make_demo_clip(folder: Path) -> Clip:
-    """Return the demo's clip, made and written unless it is there from an earlier time."""
+    """Return the demo's clip, made unless an earlier demo has written it."""
     from getagrip.clip import read_clip, write_clip
     from getagrip.synthetic import scene_options
     from getagrip.synthetic.noise import perturbed
     from getagrip.synthetic.scene import clip_name, ground_truth_masks, make_scene, render_pictures
 
     options = scene_options.DEMO_SCENE_OPTIONS
-    there = folder / clip_name(DEMO_CATEGORY, DEMO_SEED, options)
-    if not there.exists():
+    made = folder / clip_name(DEMO_CATEGORY, DEMO_SEED, options)
+    if not made.exists():
         scene = make_scene(DEMO_CATEGORY, DEMO_SEED, options)
-        write_clip(*perturbed(scene.clip, ground_truth_masks(scene), options, DEMO_SEED), there, render_pictures(scene))
-    return read_clip(there)
+        write_clip(*perturbed(scene.clip, ground_truth_masks(scene), options, DEMO_SEED), made, render_pictures(scene))
+    return read_clip(made)

@@ -1,7 +1,6 @@
-"""``getagrip doctor``: check that everything a reconstruction needs is there and works.
+"""``getagrip doctor``: checks of the installation and of a small reconstruction.
 
-Every line begins with ``ok``, ``without`` (something that is not needed), ``MISSING`` or ``BROKEN``; all but the first
-say what to do.
+Each line begins with ``ok``, ``without`` (an optional part), ``MISSING`` or ``BROKEN``; all but ``ok`` give advice.
 """
 
 from __future__ import annotations
@@ -35,12 +34,12 @@ EXTRA_PURPOSES = {
 """Purpose of each extra of the package."""
 BROWSER_COMMANDS = ("chromium", "chromium-browser", "google-chrome", "firefox", "open", "xdg-open")
 MIN_DISK_GB, MIN_MEMORY_GB = 1.0, 2.0
-"""Least free disk for results, and least memory [GB]."""
+"""Minimum free disk space for results, and minimum memory [GB]."""
 _REQUIREMENT_PATTERN = re.compile(r"([\w.-]+)[^;]*?[>=]=([\d.]+)")
 _EXTRA_PATTERN = re.compile(r"extra == ['\"](\w+)['\"]")
 
 Line = tuple[str, str]
-"""How it is, and what to say."""
+"""State and words of a line."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,9 +56,9 @@ class Doctor(Command):
     """Folder of the hand models, to be tried (default: the cache)."""
 
     def run(self) -> int:
-        """Print what is there, what is missing and whether a small clip can be reconstructed; 1 if anything is wrong.
+        """Print the state of each part and reconstruct a small clip; return 1 if a required part fails, else 0.
 
-        The first reconstruction compiles the kernels and keeps them on disk, so that later ones start at once.
+        The reconstruction compiles the kernels and keeps them on disk, so that later ones start at once.
         """
         print(f"getagrip {metadata.version('getagrip')}, Python {platform.python_version()}, {platform.platform()}")
         if self.fetch:
@@ -86,21 +85,20 @@ class Doctor(Command):
             return 1
         try:
             _smoke_test()
-        except Exception as error:  # whatever it is, it is reported, not raised
+        except Exception as error:  # any error is reported, not raised
             print(f"BROKEN   a synthetic clip cannot be reconstructed: {type(error).__name__}: {error}")
             return 1
         return 0
 
 
 def _check_libraries() -> Iterator[Line]:
-    """Yield a line for each required library."""
     for name, least, extra in _requirements():
         if not extra:
             yield _check_library(name, least, "MISSING", f'pip install "{name}>={least}"')
 
 
 def _check_extras() -> Iterator[Line]:
-    """Yield a line for each optional library."""
+    """Yield a line for each optional library, and for a browser."""
     for name, least, extra in _requirements():
         if extra in EXTRA_PURPOSES:
             yield _check_library(name, least, "without", f"{EXTRA_PURPOSES[extra]}: {install_command(extra)}")
@@ -110,7 +108,6 @@ def _check_extras() -> Iterator[Line]:
 
 
 def _check_plugins() -> Iterator[Line]:
-    """Yield a line for each plug-in of another package."""
     import getagrip.checks
     import getagrip.cli.datasets
     import getagrip.export
@@ -129,15 +126,13 @@ def _check_plugins() -> Iterator[Line]:
 
 
 def _check_clusters(address: str | None) -> Iterator[Line]:
-    """Yield a line each for Ray and Slurm, and whether they can be reached from here."""
+    """Yield a line each for Ray and Slurm, and for the reply of a Ray cluster."""
     from getagrip.batch.clusters import check_ray_address
 
     address = address or os.environ.get("RAY_ADDRESS")
     if address is None or ":" not in address:
-        yield (
-            "without",
-            "Ray cluster; name one by --address HOST:PORT or RAY_ADDRESS, else `--engine ray` starts its own here",
-        )
+        advice = "name one by --address HOST:PORT or RAY_ADDRESS, else `--engine ray` starts its own here"
+        yield "without", f"Ray cluster; {advice}"
     else:
         try:
             check_ray_address(address)
@@ -152,7 +147,7 @@ def _check_clusters(address: str | None) -> Iterator[Line]:
 
 
 def _requirements() -> Iterator[tuple[str, str, str]]:
-    """Name and least version of each library, and the extra that it belongs to, if any."""
+    """Yield name, minimum version and extra ("" for none) of each library."""
     for requirement in metadata.requires("getagrip") or ():
         match, extra = _REQUIREMENT_PATTERN.match(requirement), _EXTRA_PATTERN.search(requirement)
         if match is not None:
@@ -169,8 +164,8 @@ def _check_library(name: str, least: str, otherwise: str, advice: str) -> Line:
 
 
 def _check_machine() -> Iterator[Line]:
-    """Cores, linear algebra, disk and memory."""
-    import scipy.linalg  # noqa: F401 - brings its own
+    """Yield lines on cores, file locks, linear algebra, disk and memory."""
+    import scipy.linalg  # noqa: F401 - loads its own BLAS
     from threadpoolctl import threadpool_info
 
     from getagrip.batch.executor import available_cores
@@ -192,7 +187,7 @@ def _check_machine() -> Iterator[Line]:
 
 
 def _free_memory() -> float | None:
-    """In GB, what programs can have without others being moved to disk, where the system says so."""
+    """Return the available memory without swapping [GB], if the system states it."""
     try:
         found = re.search(r"^MemAvailable:\s*([0-9]+) kB", Path("/proc/meminfo").read_text(), re.MULTILINE)
     except OSError:
@@ -201,7 +196,7 @@ def _free_memory() -> float | None:
 
 
 def _check_mano(folder: Path | None) -> Iterator[Line]:
-    """Yield a line for the user's own MANO files, if they are named."""
+    """Yield lines on the user's own MANO files."""
     if folder is None:
         yield "without", "MANO: getagrip doctor --mano DIR tries your files (https://mano.is.tue.mpg.de)"
         return
@@ -219,17 +214,13 @@ def _check_mano(folder: Path | None) -> Iterator[Line]:
             yield "BROKEN", f"MANO: {error}; download it anew from https://mano.is.tue.mpg.de"
             continue
         yield "ok", f"MANO, {side} hand: {path}, mean pose up to {mean:.2f} rad"
-    yield (
-        "ok",
-        (
-            "no MANO file records how poses are given: relative to the flat hand (HaMeR, HO-3D, HOI4D), or to its "
-            "mean pose (DexYCB, HOT3D, ARCTIC); `import hands --from mano` asks for it"
-        ),
-    )
+    flat, mean_pose = "to the flat hand (HaMeR, HO-3D, HOI4D)", "to its mean pose (DexYCB, HOT3D, ARCTIC)"
+    asked = "`import hands --from mano` asks for it"
+    yield "ok", f"no MANO file records how poses are given: relative {flat}, or {mean_pose}; {asked}"
 
 
 def _check_hand_models(folder: Path | None) -> Iterator[Line]:
-    """Yield lines on the models that find hands, and whether they run correctly."""
+    """Yield a line on the models that find hands, which are loaded and tried."""
     from getagrip.studio.hands import load_models
     from getagrip.studio.hands.networks import missing_model_files, model_folder
 
@@ -247,7 +238,6 @@ def _check_hand_models(folder: Path | None) -> Iterator[Line]:
 
 
 def _check_estimators() -> Iterator[Line]:
-    """Yield a line for each estimator that ``draft`` can run."""
     from getagrip.studio.jobs import ESTIMATORS, estimator_command, setup_advice
 
     for name, one in ESTIMATORS.items():
@@ -261,7 +251,6 @@ def _check_estimators() -> Iterator[Line]:
 
 
 def _installed_version(name: str) -> str | None:
-    """Return the installed version of a library."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
@@ -269,12 +258,11 @@ def _installed_version(name: str) -> str | None:
 
 
 def _version_numbers(version: str) -> list[int]:
-    """Return the leading numbers of a version, for comparisons."""
     return [int(part) for part in re.findall(r"\d+", version)[:3]]
 
 
 def _smoke_test() -> None:
-    """Make a small clip and take it through every step, twice; only the first time is anything compiled."""
+    """Reconstruct and evaluate a small clip twice, first with compilation."""
     from getagrip.batch.job import Job, reconstruct_one
     from getagrip.clip import read_clip, read_masks, write_clip
     from getagrip.compiling import COMPILATION_MESSAGE, compile_once

@@ -12,7 +12,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from getagrip.cli.command import Command, Labels, OptionalSide
 from getagrip.errors import GetagripError, UsageError
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.io.options import Flag, OptionalFolder
 from getagrip.io.terminal import format_count, print_note
 
@@ -155,6 +155,7 @@ class Draft(Command):
         Raises ``InputError`` for a mesh, video or models that cannot be read, ``UsageError`` where there is no hand or
         the video is cut.
         """
+        from getagrip.cli import calls
         from getagrip.cli.annotate import MARKS_DATABASE, serve
         from getagrip.io.terminal import progress_bar
         from getagrip.studio.hands.detect_hands import write_detected_hands
@@ -198,11 +199,12 @@ class Draft(Command):
                     labelled.append(grasp := project.import_labels(own, DRAFT_ANNOTATOR))
                     if older := len(project.labelling.labels(grasp).frames) - len(frames):
                         print_note(
-                            f"{self.folder} has labels of {format_count(older, 'other frame')} already, which count, too"
+                            f"{self.folder} has labels of {format_count(older, 'other frame')} already, "
+                            "which count, too"
                         )
             if self.no_page:
                 if drawn:
-                    return reconstruct_labelled_grasps(project, labelled, shape)
+                    return reconstruct_labelled_grasps(project, labelled, shape, calls.run_call)
                 print_note("nothing is reconstructed: give --object-box or --masks, or mark the object on the page")
                 return 0
             print("the grasp is marked: mark the object on the page; it is reconstructed there")
@@ -215,7 +217,7 @@ class Draft(Command):
     def _source(self) -> Path:
         """Return the footage; of a single image, a folder with it twice, since a clip has two frames or more."""
         from getagrip.io import files
-        from getagrip.readers.footage import IMAGE_SUFFIXES
+        from getagrip.readers.video import IMAGE_SUFFIXES
 
         folder = self.video.is_dir()
         names = sorted(path for path in self.video.iterdir() if path.name[0] != ".") if folder else [self.video]
@@ -234,12 +236,13 @@ class Draft(Command):
         self, stretch: VideoInterval, found: DetectedHands, labels: DrawnLabels, shape: RequestedMesh, video: Path
     ) -> DraftedGrasps:
         """Find the frames of the grasps, and say which. Raises as run."""
+        from getagrip.cli import calls
         from getagrip.studio.detect_grasps import find_grasps, trim_reach
         from getagrip.studio.hands import detect_hands
 
         joints = dict(zip(found.frames, found.hand.joints_2d if found.hand.joints_2d is not None else (), strict=False))
         if self.find_grasps:
-            grasps = find_grasps(labels, video, stretch.footage, self.folder, shape, joints)
+            grasps = find_grasps(labels, video, stretch.footage, self.folder, shape, joints, calls.run_call)
         else:
             hand = detect_hands.HandDetectionFiles(self.folder / detect_hands.DETECTED_HANDS_FOLDER).mask
             box = None if self.object_box is None or self.masks is not None else (stretch.first, self.object_box)

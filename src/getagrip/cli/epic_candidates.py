@@ -1,4 +1,4 @@
-"""``getagrip epic candidates``: where more stable grasps may be found in EPIC-KITCHENS."""
+"""``getagrip epic candidates``: intervals of EPIC-KITCHENS that may hold further stable grasps."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Category = Literal["bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate", "saucepan"]
 CANDIDATE_COLUMNS = ("vid", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name", "mp4_name")
-"""Columns of the table of candidates: EPIC-Grasps' own, without those that an annotator has still to fill."""
+"""Columns of the table of candidates: EPIC-Grasps' columns except those for the annotator."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +46,9 @@ class EpicCandidates(Command):
             files.check_file("--json", self.json)
 
     def run(self) -> int:
-        """Write where stable grasps may be as a table, and as JSON; 1 if a video could not be read, else 0.
+        """Write candidates of stable grasps as a table and as JSON; return 1 if a video could not be read, else 0.
 
-        Raises ``UsageError`` without labels, ``InputError`` for labels that are malformed and where VISOR is not.
+        Raises ``UsageError`` without labels, ``InputError`` for malformed labels and a folder without VISOR's files.
         """
         from getagrip.batch.clips import print_outcome
         from getagrip.batch.job import failed_outcome
@@ -58,14 +58,14 @@ class EpicCandidates(Command):
             raise UsageError("missing --actions: name EPIC_100_train.csv or EPIC_100_validation.csv, or both")
         actions = epic_tables.read_actions(self.actions)
         found, failed, unlabelled = list[epic_tables.Candidate](), 0, 0
-        there, mapping = visor.find_visor_files(self.visor), visor.find_mapping(self.visor)
+        videos, mapping = visor.find_visor_files(self.visor), visor.find_mapping(self.visor)
         if mapping is None:
             print(visor.NO_FRAME_MAPPING_NOTE, file=sys.stderr)
         with progress_bar() as bar:
-            task = bar.add_task("videos", total=len(there))
-            for video, paths in there.items():
+            task = bar.add_task("videos", total=len(videos))
+            for video, paths in videos.items():
                 try:
-                    sparse = [path for path in paths if not visor.is_dense(path)]  # contacts are marked there
+                    sparse = [path for path in paths if not visor.is_dense(path)]  # dense annotations lack contacts
                     frames = (frame for path in sparse for frame in visor.read_frames(path))
                     touching = epic_tables.contacts(frames, visor.read_mapping(mapping, video))
                     found += epic_tables.find_candidates(video, touching, actions.get(video, []))
@@ -82,19 +82,19 @@ class EpicCandidates(Command):
         for category, count in sorted(Counter(candidate.category for candidate in chosen).items()):
             print(f"{category}: {count}")
         if unlabelled:
-            print(f"{unlabelled} of {len(there)} videos have no labelled actions: skipped", file=sys.stderr)
-        print(f"{self.out}: {format_count(len(chosen), 'candidate')} from {format_count(len(there) - failed, 'video')}")
+            print(f"{unlabelled} of {len(videos)} videos have no labelled actions: skipped", file=sys.stderr)
+        print(
+            f"{self.out}: {format_count(len(chosen), 'candidate')} from {format_count(len(videos) - failed, 'video')}"
+        )
         return 1 if failed else 0
 
 
 def _write_candidates(path: Path, found: Sequence[epic_tables.Candidate]) -> None:
-    """Write candidates as a table with ``CANDIDATE_COLUMNS``, as EPIC-Grasps has them: -1 for more than one contact."""
+    """Write candidates as a table with ``CANDIDATE_COLUMNS``, with the contact -1 for several, as in EPIC-Grasps."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    rows = (
-        (
-            one.video, one.start_bound, one.end_bound, one.contacts[0] if len(one.contacts) == 1 else -1,
-            f"{one.side} hand", one.category, one.entity, f"{one.name}.mp4",
-        )
-        for one in found
-    )  # fmt: skip
-    files.write_csv(path, [CANDIDATE_COLUMNS, *rows])
+    rows: list[Sequence[object]] = [CANDIDATE_COLUMNS]
+    for one in found:
+        contact = one.contacts[0] if len(one.contacts) == 1 else -1
+        named = f"{one.side} hand", one.category, one.entity, f"{one.name}.mp4"
+        rows.append((one.video, one.start_bound, one.end_bound, contact, *named))
+    files.write_csv(path, rows)

@@ -1,40 +1,29 @@
-"""``getagrip evaluate``: results against their clips.
-
-``getagrip evaluate --poses``, ``--meshes``: another system's poses or meshes of clips.
-"""
+"""``getagrip evaluate``: metrics of results, and of another system's poses or meshes (``--poses``, ``--meshes``)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, TypeVar
 
-import numpy as np
 from tyro.conf import arg
 
-from getagrip.batch.job import Outcome, failed_outcome
-from getagrip.cli.command import ClipsFolder, Command, FirstNumber, Results
-from getagrip.clip import Clip, find_masks, read_clip
-from getagrip.clip.match_frames import number_of
-from getagrip.clip.object_poses import POSE_FILE_SUFFIXES, poses_path_of_clip
-from getagrip.clip.read import read_name
+from getagrip.cli.command import ClipsFolder, Command, FirstNumber, Results, failed_path_outcome
 from getagrip.errors import InputError, UsageError
-from getagrip.geometry import mesh_files
 from getagrip.io import files
 from getagrip.io.options import Flag, OptionalFile, OptionalFolder, one_of
 from getagrip.io.terminal import console, print_note, progress_bar
-from getagrip.metrics.evaluate import evaluate, evaluate_meshes
-from getagrip.metrics.evaluate.external import MeshFrame, read_external_poses, read_meshes
-from getagrip.metrics.evaluate.results import Evaluation
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
+    from getagrip.clip import Clip
+    from getagrip.metrics.evaluate.external import MeshFrame
     from getagrip.metrics.evaluate.results import Evaluation
 
 Evaluated: TypeAlias = "tuple[Evaluation | None, list[Outcome]]"
-"""All metrics, and what could not be read."""
+"""The evaluation, and failures to read files."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,18 +66,17 @@ class Evaluate(Command):
             raise UsageError("missing --meshes: --mesh-frame is the frame of their vertices")
 
     def run(self) -> int:
-        """Print the metrics of results, and write them to a file; 1 if anything could not be evaluated, else 0.
+        """Print the metrics of results, and write them to a file; return 1 if any evaluation failed, else 0.
 
-        Another system's meshes and poses are evaluated in the frames of our results of the same clip, else in all of
-        the clip's. Raises ``InputError`` where there are no such meshes or poses.
+        Another system's meshes and poses are evaluated in the frames of our results of the same clip, by default in all
+        frames of the clip. Raises ``InputError`` for a path without meshes or poses.
         """
         from getagrip.batch.clips import print_outcome
-        from getagrip.batch.executor import for_each_job
-        from getagrip.batch.job import failed_outcome
+        from getagrip.batch.executor import PROCESS_DIED_TWICE, for_each_job
+        from getagrip.batch.job import Outcome, failed_outcome
         from getagrip.metrics.evaluate import contact_tables, results_table, summary
 
-        jobs: list[ResultJob] = []
-        problems: list[Outcome] = []
+        jobs, problems = list[ResultJob](), list[Outcome]()
         for path in self.results:
             try:
                 jobs += [ResultJob(folder, self.clips) for folder in list_result_folders(path)]
@@ -96,20 +84,23 @@ class Evaluate(Command):
                 problems.append(failed_outcome("", error))
         evaluations: list[Evaluation] = []
         folders = self._folders_of_clips(jobs)
+
+        def died(job: J) -> Evaluated:
+            return None, [Outcome(str(job.folder), "failed", PROCESS_DIED_TWICE)]
+
         with progress_bar() as bar:
-            task = bar.add_task("results", total=len(jobs), visible=bool(jobs))
-            for made, failed in for_each_job(evaluate_one, jobs, _failed_evaluation, lambda _: bar.advance(task)):
-                evaluations += [] if made is None else [made]
-                problems += failed
+
+            def evaluate_all(title: str, work: Callable[[J], Evaluated], jobs: Sequence[J]) -> None:
+                task = bar.add_task(title, total=len(jobs), visible=bool(jobs))
+                for made, failed in for_each_job(work, jobs, died, lambda _: bar.advance(task)):
+                    evaluations.extend([] if made is None else [made])
+                    problems.extend(failed)
+
+            evaluate_all("results", evaluate_one, jobs)
             frames = {made.clip: tuple(made.frames) for made in evaluations}
             others = [] if self.meshes is None else mesh_jobs(self, frames, folders)
             others += [] if self.poses is None else pose_jobs(self, frames, folders)
-            of_others = bar.add_task("of other systems", total=len(others), visible=bool(others))
-            for made, failed in for_each_job(
-                evaluate_other, others, _failed_evaluation, lambda _: bar.advance(of_others)
-            ):
-                evaluations += [] if made is None else [made]
-                problems += failed
+            evaluate_all("of other systems", evaluate_other, others)
         for outcome in problems:
             print_outcome(outcome, self.debug)
         if evaluations:
@@ -122,7 +113,7 @@ class Evaluate(Command):
         return 1 if problems else 0
 
     def _folders_of_clips(self, jobs: list[ResultJob]) -> dict[str, Path]:
-        """Find the folders of the results' clips, by name, where another system's output is of them."""
+        """Find the clips of results, by name, for the evaluation of another system's output."""
         from contextlib import suppress
 
         from getagrip.metrics.evaluate.results import clip_folder
@@ -130,7 +121,7 @@ class Evaluate(Command):
 
         folders: dict[str, Path] = {}
         for job in jobs if self.poses is not None or self.meshes is not None else []:
-            with suppress(InputError, OSError):  # evaluating the result says what is wrong with it
+            with suppress(InputError, OSError):  # evaluating the result reports the error
                 record = read_result_record(job.folder)
                 folders[record["clip"]] = clip_folder(job.folder, record, job.clips)
         return folders
@@ -145,7 +136,7 @@ class ResultJob:
 
 
 def _print_warnings(made: Evaluation) -> None:
-    """Print the findings of an evaluated result, and notes on its metrics, on stderr."""
+    """Print the findings of an evaluated result and notes on its metrics."""
     warnings = [*made.findings, *made.notes]
     if missing := int(made.metrics.get("frames_without_mesh", 0)):
         warnings.append(f"no mesh of {missing} of {len(made.frames)} frames: IOU 0, no contact")
@@ -153,26 +144,18 @@ def _print_warnings(made: Evaluation) -> None:
         print_note(f"{made.method}, {made.clip}: {warning}")
 
 
-def _failed_evaluation(job: ResultJob | OtherJob) -> Evaluated:
-    from getagrip.batch.executor import PROCESS_DIED_TWICE
-    from getagrip.batch.job import Outcome
-
-    return None, [Outcome(str(job.folder), "failed", PROCESS_DIED_TWICE)]
-
-
 def evaluate_one(job: ResultJob) -> Evaluated:
     """Evaluate a result; failures are returned, not raised."""
-    from getagrip.batch.job import failed_outcome
     from getagrip.metrics.evaluate import evaluate_result
 
     try:
         return evaluate_result(job.folder, job.clips), []
-    except Exception as error:  # one result's trouble must not end the others
-        return None, [failed_outcome("" if isinstance(error, InputError) else str(job.folder), error)]
+    except Exception as error:  # one result's failure must not end the others
+        return None, [failed_path_outcome(job.folder, error)]
 
 
 def is_batch_file(path: Path) -> bool:
-    """Return whether a path is a file that a batch writes beside its results: ``results/*`` names them, too."""
+    """Return whether a path is a file that a batch writes beside results, which the pattern ``results/*`` matches."""
     from getagrip.batch.ledger import LEDGER_FILE as LEDGER
     from getagrip.batch.summary import INDEX_FILE, SUMMARY_FILE
 
@@ -180,9 +163,9 @@ def is_batch_file(path: Path) -> bool:
 
 
 def list_result_folders(path: Path) -> list[Path]:
-    """List the result folders that a path stands for, none for a batch's file.
+    """List the results in a path: itself, or the folders in it; none for a batch's file.
 
-    Raises ``InputError`` where it holds none.
+    Raises ``InputError`` for a folder without results.
     """
     if is_batch_file(path):
         return []
@@ -197,57 +180,65 @@ def list_result_folders(path: Path) -> list[Path]:
 
 
 def missing_result_error(path: Path) -> InputError:
-    """Make the error for a folder in which there is no result."""
+    """Make the error for a folder without results."""
     got = "a clip" if (path / "clip.json").exists() else "no result.json in it or in its folders"
     return InputError(path, "", got, "a result that getagrip reconstruct made, or a folder of results")
 
 
 Frames = Mapping[str, tuple[str, ...]]
-"""By the names of clips: the frames to evaluate, where not all are."""
+"""Frames to evaluate by clip name; all frames of other clips."""
 Folders = Mapping[str, Path]
-"""By the names of clips: the folders of those that results are of."""
+"""Folders of the results' clips by name."""
 
 
 @dataclass(frozen=True)
 class OtherJob:
-    """The poses or meshes of one clip to evaluate."""
+    """Another system's poses or meshes of one clip."""
 
     folder: Path
-    """The file, or the folder."""
+    """The file or folder of poses or meshes."""
     clip: Path
     method: str
     frames: Frames
     first: int | None
-    """The number of the first frame's pose or mesh; None where they have the frames' numbers."""
+    """The number of the first frame's pose or mesh; None for the frames' own numbers."""
     mesh_frame: MeshFrame | None = None
-    """That of meshes; None for poses."""
+    """Frame of the meshes' vertices; None for poses."""
+
+
+J = TypeVar("J", ResultJob, OtherJob)
 
 
 def mesh_jobs(options: Evaluate, frames: Frames, of_results: Folders = MappingProxyType({})) -> list[OtherJob]:
-    """Make a job for each clip with meshes: ``<clip>/<frame>.obj``, or those of one clip.
+    """Make a job for each clip with meshes: ``<clip>/<frame>.obj``, or ``<frame>.obj`` of one clip.
 
-    Raises ``InputError``, and ``UsageError`` where it is not known which clip they are of.
+    Raises ``InputError`` without meshes, ``UsageError`` for meshes of an unknown clip.
     """
+    from getagrip.geometry.mesh_files import MESH_SUFFIXES
+
     root, where = options.meshes, options.clips
     assert root is not None
     if not root.is_dir():
         raise InputError(root, "", "no such folder", "a folder of meshes, <clip>/<frame>.obj")
-    folders = [root] if files.list_files(root, mesh_files.MESH_SUFFIXES) else files.folders_in(root)
+    folders = [root] if files.list_files(root, MESH_SUFFIXES) else files.folders_in(root)
     if not folders:
         raise InputError(root, "", "no meshes in it or in its folders", "<clip>/<frame>.obj")
     how = root.resolve().name, frames, options.first, options.mesh_frame
     if len(folders) == 1:
         return [OtherJob(folders[0], _find_clip(folders[0], where, of_results), *how)]
     if where is not None and _is_clip(where):
-        raise InputError(where, "", "one clip", f"the folder of the clips of {len(folders)} folders of meshes")
+        raise InputError(where, "", "a single clip", f"a folder of clips (there are {len(folders)} mesh folders)")
     return [OtherJob(folder, _find_clip_by_name(folder.name, where, of_results), *how) for folder in folders]
 
 
 def pose_jobs(options: Evaluate, frames: Frames, of_results: Folders = MappingProxyType({})) -> list[OtherJob]:
-    """Make a job for each clip with poses, of one clip or of many by name.
+    """Make a job for each clip with poses, of one clip or of several by name.
 
-    Raises ``InputError`` where there are none, and ``UsageError`` where it is not known which clip they are of.
+    Raises ``InputError`` without poses, ``UsageError`` for poses of an unknown clip.
     """
+    from getagrip.clip.object_poses import POSE_FILE_SUFFIXES, poses_path_of_clip
+    from getagrip.clip.read import read_name
+
     root, where = options.poses, options.clips
     assert root is not None
     method = root.resolve().stem if root.is_file() else root.resolve().name
@@ -276,9 +267,9 @@ def _is_clip(folder: Path) -> bool:
 
 
 def _find_clip(place: Path, where: Path | None, of_results: Folders) -> Path:
-    """Return the clip that one file or folder is of: that of its name, else the only one that there are results of.
+    """Return the clip of one file or folder: the clip of the same name, else the only clip with results.
 
-    Raises ``UsageError`` where there is neither.
+    Raises ``UsageError`` without either.
     """
     if where is not None and _is_clip(where):
         return where
@@ -292,9 +283,9 @@ def _find_clip(place: Path, where: Path | None, of_results: Folders) -> Path:
 
 
 def _find_clip_by_name(name: str, where: Path | None, of_results: Folders) -> Path:
-    """Return the folder of a clip by its name: in ``--clips``, else that of a result, or one beside it.
+    """Return a clip's folder by name: in ``--clips``, else the clip of a result, or a folder beside that.
 
-    Raises ``UsageError`` where neither is known.
+    Raises ``UsageError`` if no clip's folder is known.
     """
     if where is not None and (where / name).exists():
         return where / name
@@ -304,16 +295,22 @@ def _find_clip_by_name(name: str, where: Path | None, of_results: Folders) -> Pa
     return of_results.get(name, beside / name)
 
 
-def evaluate_other(job: OtherJob) -> tuple[Evaluation | None, list[Outcome]]:
-    """Evaluate another system's output for a clip; also return what could not be read. Raises nothing."""
+def evaluate_other(job: OtherJob) -> Evaluated:
+    """Evaluate another system's output for a clip; failures are returned, not raised."""
+    from getagrip.clip import read_clip
+
     try:
         clip = read_clip(job.clip)
         return _evaluate_poses(job, clip) if job.mesh_frame is None else _evaluate_meshes(job, clip, job.mesh_frame)
-    except Exception as error:  # one clip's trouble must not end the others
-        return None, [failed_outcome("" if isinstance(error, InputError) else str(job.folder), error)]
+    except Exception as error:  # one clip's failure must not end the others
+        return None, [failed_path_outcome(job.folder, error)]
 
 
-def _evaluate_poses(job: OtherJob, clip: Clip) -> tuple[Evaluation, list[Outcome]]:
+def _evaluate_poses(job: OtherJob, clip: Clip) -> Evaluated:
+    from getagrip.clip import find_masks
+    from getagrip.metrics.evaluate import evaluate
+    from getagrip.metrics.evaluate.external import read_external_poses
+
     masks = find_masks(clip)
     result = read_external_poses(job.folder, job.method, clip, masks, job.first)
     if clip.name in job.frames:
@@ -323,11 +320,17 @@ def _evaluate_poses(job: OtherJob, clip: Clip) -> tuple[Evaluation, list[Outcome
     return replace(made, findings=(*made.findings, *result.notes[1:])), []
 
 
-def _evaluate_meshes(job: OtherJob, clip: Clip, mesh_frame: MeshFrame) -> tuple[Evaluation, list[Outcome]]:
+def _evaluate_meshes(job: OtherJob, clip: Clip, mesh_frame: MeshFrame) -> Evaluated:
+    from getagrip.batch.job import failed_outcome
+    from getagrip.clip import find_masks
+    from getagrip.clip.match_frames import number_of
+    from getagrip.metrics.evaluate import evaluate_meshes
+    from getagrip.metrics.evaluate.external import read_meshes
+
     first, begin = job.first, clip.frames[0]
     if clip.name in job.frames:
-        clip = clip.take(np.array([clip.frames.index(frame) for frame in job.frames[clip.name]]))
-    if first is not None:  # of the first of these frames
+        clip = clip.take(clip.index_of(job.frames[clip.name]))
+    if first is not None:  # becomes the number of the first evaluated frame
         first += (number_of(clip.frames[0]) or 0) - (number_of(begin) or 0)
     meshes, errors = read_meshes(job.folder, clip, mesh_frame, first)
     return evaluate_meshes(meshes, clip, find_masks(clip), job.method), [failed_outcome("", error) for error in errors]

@@ -1,27 +1,65 @@
-"""``getagrip export``: results in other programs' formats.
-
-``getagrip replay``: how long the simulated hand holds the object.
-"""
+"""``getagrip export`` and ``replay``: results in other programs' formats, and in a simulation of the grasp."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from getagrip.cli.command import ClipsFolder, Command, Results
+from getagrip.cli.command import ClipsFolder, Command, Results, failed_path_outcome
+from getagrip.cli.evaluate import list_result_folders
 from getagrip.errors import InputError, UsageError, unknown_choice_error
-from getagrip.io import plugins
+from getagrip.io import files, plugins
 from getagrip.io.options import Flag, OptionalFile, OptionalFolder
+from getagrip.io.terminal import print_result
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from getagrip.export import Scene
+    from getagrip.result import Reconstruction
+
+
+@dataclass
+class Failures:
+    """Failures, which are printed and do not end the work on other results."""
+
+    debug: bool
+    any: bool = False
+
+    @contextmanager
+    def printed(self, path: Path) -> Iterator[None]:
+        """Print an exception of the block as the failure of ``path``."""
+        from getagrip.batch.clips import print_outcome
+
+        try:
+            yield
+        except Exception as error:
+            self.any = True
+            print_outcome(failed_path_outcome(path, error), self.debug)
+
+
+def _result_folders(paths: Results, failures: Failures) -> list[tuple[Path, Path]]:
+    """List each path with the results in it."""
+    found = list[tuple[Path, Path]]()
+    for path in paths:
+        with failures.printed(path):
+            found += [(path, folder) for folder in list_result_folders(path)]
+    return found
+
+
+def _read_scene(folder: Path, clips: Path | None) -> tuple[Reconstruction, Scene]:
+    from getagrip.export import Scene
+    from getagrip.metrics.evaluate.results import clip_of
+    from getagrip.result import read_result
+
+    result, record = read_result(folder)
+    return result, Scene.of(result, clip_of(folder, result, record, clips))
 
 
 def _plugin_formats(_: str) -> str:
-    """Return the formats of other packages, for the help."""
     others = plugins.plugin_names("exports")
     return f"(required; of other packages: {', '.join(others)})" if others else "(required)"
 
@@ -66,62 +104,42 @@ class Export(Command):
             raise UsageError("--test-share cannot be used without --one-dataset")
         if self.fps is not None and not 0.1 <= self.fps <= 1000.0:
             raise UsageError(f"--fps must be 0.1 to 1000 frames per second (got {self.fps:g})")
-        EXPORT_FORMATS[self.to]  # which raises where it cannot be loaded
+        EXPORT_FORMATS[self.to]  # which raises UsageError for a plug-in that cannot be loaded
         if not self.results:
             raise UsageError("missing RESULT: name at least one result")
 
     def run(self) -> int:
-        """Export results, each into a folder of its own; 1 if any failed, else 0."""
-        from getagrip.batch.clips import print_outcome
-        from getagrip.batch.job import failed_outcome
-        from getagrip.cli.evaluate import list_result_folders
-        from getagrip.export import Scene, export
+        """Export results, each into its own folder or as an episode; return 1 if any failed, else 0."""
+        from getagrip.export import export
         from getagrip.export.lerobot_dataset import LerobotDataset
-        from getagrip.io import files, plugins
-        from getagrip.io.terminal import print_result
-        from getagrip.metrics.evaluate.results import clip_of
-        from getagrip.result import read_result
 
         dataset = LerobotDataset.of(self.out) if self.one_dataset and self.out is not None else None
-        found, failed = list[tuple[Path, Path]](), False
-
-        def trouble(path: Path, error: Exception) -> None:
-            nonlocal failed
-            failed = True
-            print_outcome(failed_outcome("" if isinstance(error, InputError) else str(path), error), self.debug)
-
-        for path in self.results:
-            try:
-                found += [(path, folder) for folder in list_result_folders(path)]
-            except Exception as error:  # one result's trouble must not end the others
-                trouble(path, error)
+        failures = Failures(self.debug)
+        found = _result_folders(self.results, failures)
         if dataset is not None:
             names = {folder: _clip_name(folder) for _, folder in found}
             tests = dataset.tests({*names.values()}, self.test_share)
             found.sort(key=lambda one: names[one[1]] in tests)  # so that each split is one range of episodes
         for path, folder in found:
-            try:
+            with failures.printed(path):
                 if self.out is None and folder != path:
                     files.refuse_link(folder)
-                result, record = read_result(folder)
-                scene = Scene.of(result, clip_of(folder, result, record, self.clips))
+                _, scene = _read_scene(folder, self.clips)
                 scene = scene if self.fps is None else scene.even(self.fps)
                 if dataset is not None:
-                    there, split = scene.name in dataset.clips, "test" if scene.name in tests else "train"
-                    said = "there already" if there else f"episode {dataset.add(scene, split)}, {split}"
-                    print_result(f"{scene.name}: {said}")
+                    known, split = scene.name in dataset.clips, "test" if scene.name in tests else "train"
+                    episode = "there already" if known else f"episode {dataset.add(scene, split)}, {split}"
+                    print_result(f"{scene.name}: {episode}")
                     continue
                 target = folder / f"export-{self.to}" if self.out is None else self.out / folder.resolve().name
                 with plugins.convert_base_exceptions():
                     made = export(scene, target, self.to, self.overwrite)
                 print_result(str(made))
-            except Exception as error:
-                trouble(path, error)
-        return int(failed)
+        return int(failures.any)
 
 
 def _clip_name(folder: Path) -> str:
-    """Return the clip of a result; empty where its record cannot be read, which is said later."""
+    """Return the clip of a result; empty for an unreadable record, which ``run`` reports."""
     from getagrip.result import read_result_record
 
     try:
@@ -145,52 +163,35 @@ class ReplayResults(Command):
     """Write the displacement and the simulated pose of each frame here."""
 
     def check(self) -> None:
-        from getagrip.io import plugins
-
         super().check()
         if not self.results:
             raise UsageError("missing RESULT: name at least one result")
         plugins.import_extra("mujoco", "mujoco", "replay")
 
     def run(self) -> int:
-        """Simulate results and print in which share of the frames the object stays; 1 if any failed, else 0."""
-        from getagrip.batch.clips import print_outcome
-        from getagrip.batch.job import failed_outcome
-        from getagrip.cli.evaluate import list_result_folders
-        from getagrip.io import files
-
-        failed, simulated = False, list[dict[str, object]]()
-        for path in self.results:
-            try:
-                for folder in list_result_folders(path):
-                    if folder != path:
-                        files.refuse_link(folder)
-                    simulated.append(self._replayed(folder))
-            except Exception as error:  # one result's trouble must not end the others
-                failed = True
-                print_outcome(failed_outcome("" if isinstance(error, InputError) else str(path), error), self.debug)
+        """Simulate results and print the share of frames in which the object stays; return 1 if any failed, else 0."""
+        failures, simulated = Failures(self.debug), list[dict[str, object]]()
+        for path, folder in _result_folders(self.results, failures):
+            with failures.printed(path):
+                if folder != path:
+                    files.refuse_link(folder)
+                simulated.append(self._replay(folder))
         if self.json is not None:
             files.write_json(self.json, simulated)
-        return int(failed)
+        return int(failures.any)
 
-    def _replayed(self, folder: Path) -> dict[str, object]:
-        """Simulate a result, and record and return what came of it."""
-        from getagrip.export import Scene
+    def _replay(self, folder: Path) -> dict[str, object]:
+        """Simulate a result, print and record the outcome, and return it for ``--json``."""
         from getagrip.export.replay import MAX_STABLE_DISPLACEMENT_M, simulate_replay
-        from getagrip.io import files
-        from getagrip.io.terminal import print_result
         from getagrip.metrics.evaluate.metric import REPLAY_STABILITY
-        from getagrip.metrics.evaluate.results import clip_of
-        from getagrip.result import read_result
 
-        result, record = read_result(folder)
-        made = simulate_replay(Scene.of(result, clip_of(folder, result, record, self.clips)))
-        path = folder / "result.json"
-        fields = files.read_json(path)
-        files.write_json(
-            path, fields | {"metrics": {**(fields.get("metrics") or {}), REPLAY_STABILITY.name: made.stays}}
-        )
-        share = f"{REPLAY_STABILITY.text(made.stays)} % of {made.free.sum()} frames within {1e3 * MAX_STABLE_DISPLACEMENT_M:g} mm"
+        result, scene = _read_scene(folder, self.clips)
+        made = simulate_replay(scene)
+        fields = files.read_json(folder / "result.json")
+        metrics = {**(fields.get("metrics") or {}), REPLAY_STABILITY.name: made.stays}
+        files.write_json(folder / "result.json", fields | {"metrics": metrics})
+        near = f"{made.free.sum()} frames within {1e3 * MAX_STABLE_DISPLACEMENT_M:g} mm"
+        share = f"{REPLAY_STABILITY.text(made.stays)} % of {near}"
         print_result(f"{result.clip}: stays in the hand in {share} ({made.assumed}: guesses)")
         return {
             "clip": result.clip,

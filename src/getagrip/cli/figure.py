@@ -1,7 +1,7 @@
-"""``getagrip figure``: a figure of results, written whole or not at all.
+"""``getagrip figure``: figures of results, a subcommand for each kind.
 
-What each kind takes stands with what draws it. Those modules load numpy and more. So this one is loaded when the
-command is called, not for `getagrip --help`.
+The options of a kind are declared in the module that draws it. These modules load numpy and more: this module is loaded
+for the command only, not for ``getagrip --help``.
 """
 
 from __future__ import annotations
@@ -49,12 +49,11 @@ class DrawFigure(Command, Generic[K]):
         self.kind.check()
 
     def run(self) -> int:
-        """Draw results into a file; 1 if any could not be read, else 0.
+        """Draw results into a file; return 1 if any could not be read, else 0.
 
-        Raises ``UsageError`` where there are too many for this kind, ``InputError`` where none can be shown.
+        Raises ``UsageError`` for more results than the kind takes, ``InputError`` if no result can be drawn.
         """
-        stored: list[StoredResult] = []
-        problems: list[Exception] = []
+        stored, problems = list[StoredResult](), list[Exception]()
         for path in self.results:
             try:
                 folders = [path] if self.kind.draws_truth and is_clip(path) else list_result_folders(path)
@@ -66,7 +65,7 @@ class DrawFigure(Command, Generic[K]):
         with figure_style():
             figure = self.kind.draw(stored, problems.append)
             form = self.out.suffix.lower()[1:]
-            undated = {"CreationDate": None} if form == "pdf" else {"Software": None}  # the same picture, the same file
+            undated = {"CreationDate": None} if form == "pdf" else {"Software": None}  # equal pictures are equal files
             with files.new_file(self.out) as part:
                 figure.savefig(part, format=form, dpi=self.kind.dpi, metadata=undated)
         for problem in problems:
@@ -76,7 +75,6 @@ class DrawFigure(Command, Generic[K]):
 
 
 def _figure_subcommands() -> object:
-    """Make a subcommand for each kind."""
     kinds = [
         Annotated[DrawFigure[kind], subcommand(name, description=cleandoc(kind.__doc__ or ""))]  # type: ignore[valid-type]
         for name, kind in FIGURES.items()

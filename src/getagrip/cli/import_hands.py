@@ -1,6 +1,6 @@
-"""``getagrip import hands``: an estimator's hands into a clip that lacks them, or into a file for one to come.
+"""``getagrip import hands``: an estimator's hands into clips, or into a hand file for a clip that is made later.
 
-A hand file that ``import hands --out`` writes and ``clip new --hands`` takes: hands of a clip to come.
+``import hands --out`` writes a hand file; ``clip new --hands`` reads it.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
-from getagrip.cli.command import Command, FirstNumber, OptionalSide
-from getagrip.cli.import_files import import_many
+from getagrip.cli.command import WARNING_EXIT_STATUS, Command, FirstNumber, OptionalSide, refuse_existing
+from getagrip.cli.import_files import NumberedFrames, import_many
 from getagrip.clip.intrinsics import camera_warning, compute_intrinsics
-from getagrip.clip.match_frames import check_frame_numbers, number_of, renumber_frames
+from getagrip.clip.match_frames import check_frame_numbers, number_of
 from getagrip.clip.read import ClipHeader, read_header
 from getagrip.clip.read_arrays import OTHER_HAND_FILE, check_in_view, check_intrinsics, frames_with_hand, read_hand
 from getagrip.clip.write import FRAMES_WITHOUT_HAND, missing_hand_provenance, write_hand, write_hand_at
 from getagrip.errors import InputError, UsageError
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.hands.model import Side
 from getagrip.io import arrays, files
 from getagrip.io.options import Flag, OptionalFile, one_of
@@ -49,7 +49,13 @@ from getagrip.readers.trackers import (
     usable,
 )
 
-HAND_FIRST_OPTION = "--hand-first"
+OTHER_HAND_PREFIX = "other_"
+"""Prefix of the other hand's topics in a clip's provenance."""
+MAX_HAND_FILE_FRAMES = 20_000
+"""Maximum number of frames in a hand file."""
+if TYPE_CHECKING:
+    HandSource: TypeAlias = str | None
+    Trackers: TypeAlias = object
 
 
 @dataclass(frozen=True)
@@ -61,21 +67,21 @@ class HandFile:
     K: Float[ndarray, "3 3"] | None
     side: str | None
     provenance: dict[str, Source]
-    """Sources of its hands."""
+    """Sources of the hands."""
 
     @staticmethod
     def of(path: Path) -> HandFile:
-        """Read a hand file; raise ``InputError`` for a malformed one."""
+        """Read a hand file. Raises ``InputError`` for a malformed one."""
         stored = arrays.read(path, lambda key: key in {"frames", "K", "side"} or is_provenance_key(key))
         side = str(stored["side"]) if "side" in stored and stored["side"].dtype.kind == "U" else None
         K = arrays.floats(path, stored, "K", (3, 3)) if "K" in stored else None
         return HandFile(path, arrays.frame_numbers(path, stored), K, side, provenance_from_arrays(path, stored))
 
     def at(self, frames: tuple[str, ...], side: Side, first: int | None) -> TrackedHands:
-        """Return the hands of those frames that have one.
+        """Return the hands of the frames that have one.
 
-        ``first`` is the number of the first frame's hand, where hands are counted from another start. Raises
-        ``InputError``, and ``UsageError`` where hands seem to be counted from another start.
+        ``first`` is the number that the file gives to the first frame; None: the frame's own number. Raises
+        ``InputError``, and ``UsageError`` for a file whose numbers seem to begin elsewhere.
         """
         with arrays.convert_to_input_errors(self.path):
             return self._at(frames, side, first)
@@ -88,23 +94,21 @@ class HandFile:
         if self.numbers is None:
             return TrackedHands(read_hand(self.path, len(frames)), tuple(range(len(frames))), sources)
         track = read_hand(self.path, len(self.numbers))
-        names = frames if first is None else renumber_frames(frames, first, HAND_FIRST_OPTION)
-        check_frame_numbers(
-            names, map(str, self.numbers), self.path, "hand", HAND_FIRST_OPTION if first is None else ""
-        )
+        names, ask_first, _ = NumberedFrames.of(frames, first, "--hand-first")
+        check_frame_numbers(names, map(str, self.numbers), self.path, "hand", ask_first)
         place = {number: row for row, number in enumerate(self.numbers)}
         at = [None if number is None else place.get(number) for number in map(number_of, names)]
-        rows = tuple(row for row, there in enumerate(at) if there is not None)
+        rows = tuple(row for row, entry in enumerate(at) if entry is not None)
         if len(rows) < 2:
             got = f"hands in {len(rows)} frames of the interval"
             expected = f"hands in frames {number_of(names[0])} to {number_of(names[-1])}"
             raise InputError(self.path, "frames", got, expected)
-        picked = track.take(np.array([there for there in at if there is not None]))
+        picked = track.take(np.array([entry for entry in at if entry is not None]))
         return TrackedHands(picked, rows, sources)
 
 
 def camera_of(lens: Lens, hands: HandFile | None, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
-    """Return the command's camera or, without one, the hand file's. Raises ``UsageError`` and ``InputError``."""
+    """Return the intrinsics that the user states, else the hand file's. Raises ``UsageError`` and ``InputError``."""
     if lens.is_set or hands is None or hands.K is None:
         return compute_intrinsics(lens, size)
     check_intrinsics(hands.path, hands.K[None], size)
@@ -112,20 +116,9 @@ def camera_of(lens: Lens, hands: HandFile | None, size: tuple[int, int]) -> tupl
     return hands.K, replace(known, text=f"the hand file's: {known}")
 
 
-OTHER_HAND_PREFIX = "other_"
-"""Prefix of the other hand's topics in a clip's provenance."""
-MAX_HAND_FILE_FRAMES = 20_000
-"""Most frames of a hand file."""
-WARNING_EXIT_STATUS = 3
-"""Exit status where the hands are written, and something seems to be wrong with them or with the camera."""
-if TYPE_CHECKING:
-    HandSource: TypeAlias = str | None
-    Trackers: TypeAlias = object
-
-
 @dataclass(frozen=True)
 class NewFrames:
-    """The frames of a clip that is yet to be made; nothing of what is not given."""
+    """The frames of a clip that is made later; None and defaults for unstated fields."""
 
     side: OptionalSide = None
     """With --out: side of the hand."""
@@ -138,7 +131,7 @@ class NewFrames:
 
     @property
     def stated(self) -> bool:
-        """True if any is given."""
+        """True if any field is stated."""
         return bool(self.side or self.frames or self.size or self.lens.is_set)
 
 
@@ -177,7 +170,7 @@ class ImportHands(Command):
 
     @cached_property
     def tracker(self) -> Tracker:
-        """The tracker whose hands they are, with its options; without --from as the files are recognised."""
+        """The tracker that made the files, with its options; recognised by the files without ``--from``."""
         trackers = vars(self.trackers)
         if self.source is not None:
             return choose_tracker(self.source, trackers)
@@ -186,7 +179,7 @@ class ImportHands(Command):
         return choose_tracker(name, trackers)
 
     def run(self) -> int:
-        """Add hands to a clip, or write a file of them. Raises ``UsageError`` for options that do not fit."""
+        """Add hands to clips, or write a hand file. Raises ``UsageError`` for options that do not fit."""
         if self.other_hand and self.hold_ends:
             raise UsageError("--other-hand cannot be used with --hold-ends: that hand is in the frames that have it")
         if self.other_hand and self.clip is None and self.clips is None:
@@ -207,7 +200,6 @@ class ImportHands(Command):
         return self._other_into_clip(self.clip) if self.other_hand else self._into_clip(self.clip)
 
     def _into_clips(self, clips: Path) -> int:
-        """Add hands to all clips in a folder, by their names."""
         if len(self.paths) != 1 or self.new.stated:
             raise UsageError("--clips takes one FILE, a folder, and no --side, --frames, --size or --K")
         target = OTHER_HAND_FILE if self.other_hand else "hand.npz"
@@ -218,20 +210,17 @@ class ImportHands(Command):
         return import_many(self.paths[0], clips, target, self.overwrite, of_clip, self.debug)
 
     def _into_clip(self, folder: Path) -> int:
-        """Add ``hand.npz`` to a clip's folder. Where frames lack a hand it names those that have one.
+        """Add ``hand.npz`` to a clip's folder, with the names of the frames that have a hand if some lack it.
 
-        The clip keeps its other frames, whose hands may come later. Raises ``UsageError`` where there are hands
-        already.
+        The clip keeps frames without a hand, which may be added later. Raises ``UsageError`` for a clip with hands.
         """
         header = read_header(folder)
         target = header.folder / "hand.npz"
-        if target.exists() and not self.overwrite:
-            raise UsageError(f"{target}: exists already; --overwrite replaces it")
+        refuse_existing(target, self.overwrite)
         side: Side = header.fields["side"]
-        request = self._request(side, header.frames, header.K, header.size)
-        hands = read_tracked_hands(
-            self.paths, self.tracker, replace(request, hand_masks=_hand_mask_paths(header), times=header.times)
-        )
+        request = replace(self._request(side, header.frames, header.K, header.size), times=header.times)
+        request = replace(request, hand_masks=_hand_mask_paths(header))
+        hands = read_tracked_hands(self.paths, self.tracker, request)
         check_in_view(self.paths[0], hands.track, header.K[list(hands.found)], header.size)
         hands = hands.extrapolate_to_ends(header.frames) if self.hold_ends else hands
         if len(hands.found) < len(header.frames) and (header.folder / "truth.npz").exists():
@@ -245,14 +234,13 @@ class ImportHands(Command):
         return _exit_status(header.K, header.size, _hand_warnings(hands, len(header.frames)))
 
     def _other_into_clip(self, folder: Path) -> int:
-        """Add ``other_hand.npz``, in the frames in which it was found.
+        """Add ``other_hand.npz`` to a clip's folder, in the frames in which the other hand was found.
 
-        Raises ``UsageError`` where there is one, and ``InputError`` where none of these frames has the clip's own hand.
+        Raises ``UsageError`` for a clip that has the file, ``InputError`` if these frames all lack the clip's own hand.
         """
         header = read_header(folder)
         target = header.folder / OTHER_HAND_FILE
-        if target.exists() and not self.overwrite:
-            raise UsageError(f"{target}: exists already; --overwrite replaces it")
+        refuse_existing(target, self.overwrite)
         own = frames_with_hand(files.inside(header.folder, "hand.npz", "", "the clip's own hand first"), header.frames)
         side: Side = "left" if header.fields["side"] == "right" else "right"
         request = replace(self._request(side, header.frames, header.K, header.size), times=header.times)
@@ -261,12 +249,10 @@ class ImportHands(Command):
         alone = sorted({*hands.found} - {*own.tolist()})
         if len(alone) == len(hands.found):
             got = f"the {side} hand in {len(alone)} frames, in none of which the clip has its own"
-            raise InputError(
-                self.paths[0], "", got, "some in which it has: frames without it are left out (--hold-ends)"
-            )
-        known = {
-            key: text for key, text in header.fields["provenance"].items() if not key.startswith(OTHER_HAND_PREFIX)
-        }
+            expected = "some in which it has: frames without it are left out (--hold-ends)"
+            raise InputError(self.paths[0], "", got, expected)
+        own_sources = header.fields["provenance"].items()
+        known = {key: text for key, text in own_sources if not key.startswith(OTHER_HAND_PREFIX)}
         provenance = {OTHER_HAND_PREFIX + key: text for key, text in hands.provenance.items()}
         with files.new_file(target) as hand, files.new_file(header.folder / "clip.json") as fields:
             write_hand_at(hands.track, header.frames, hands.found, hand)
@@ -281,15 +267,14 @@ class ImportHands(Command):
         return _exit_status(header.K, header.size, hands.warnings)
 
     def _into_file(self, new: NewFrames, out: Path) -> int:
-        """Write a hand file for ``clip new``, ``import epic``: a ``hand.npz`` with ``frames`` (T,) and ``K`` (3, 3)."""
+        """Write a hand file: a ``hand.npz`` with ``frames`` (T,), ``K`` (3, 3), ``side`` and provenance."""
         if new.side is None or new.frames is None or new.size is None:
             asked = (("side", new.side), ("frames", new.frames), ("size", new.size))
             missing = next(name for name, value in asked if value is None)
             raise UsageError(f"missing --{missing}: --out needs it")
         if out.suffix != ".npz":
             raise UsageError(f"--out must be a file *.npz (got {out})")
-        if out.exists() and not self.overwrite:
-            raise UsageError(f"{out}: exists already; --overwrite replaces it")
+        refuse_existing(out, self.overwrite)
         first, last = new.frames
         if not 0 <= first <= last < first + MAX_HAND_FILE_FRAMES or min(new.size) < 1:
             got = f"{first} {last}, {new.size[0]} {new.size[1]}"
@@ -314,15 +299,11 @@ class ImportHands(Command):
     def _request(
         self, side: Side, frames: tuple[str, ...], K: Float[ndarray, "T 3 3"], size: tuple[int, int]
     ) -> Request:
-        """Make the request; ``first`` is the number of the first frame's hand, where hands are counted differently."""
-        if self.first is None:
-            return Request(side, frames, K, size, self.mano)
-        return Request(
-            side, renumber_frames(frames, self.first, "--first"), K, size, self.mano, ask_first="", counted=True
-        )
+        names, ask_first, counted = NumberedFrames.of(frames, self.first)
+        return Request(side, names, K, size, self.mano, ask_first=ask_first, counted=counted)
 
 
-if not TYPE_CHECKING:  # the choices of --from, and the options of each tracker, as the table has them
+if not TYPE_CHECKING:  # the table of trackers states the choices of --from and each tracker's options
     TAKEN = [field.name for command in (ImportHands, NewFrames, Lens) for field in fields(command)]
     USABLE = usable(["from", *TAKEN])
     TAKES = "; ".join(f"{name}: {tracker.takes}" for name, tracker in USABLE.items())
@@ -333,16 +314,14 @@ if not TYPE_CHECKING:  # the choices of --from, and the options of each tracker,
 
 
 def _changed_clip_fields(header: ClipHeader, hands: TrackedHands) -> dict[str, object]:
-    """Return the fields of ``clip.json`` that change with the hands: their sources, and the frames without a hand."""
     old = (FRAMES_WITHOUT_HAND, EXTRAPOLATED_HANDS_KEY, CHOSEN_HANDS_KEY)
     known = {key: text for key, text in header.fields["provenance"].items() if key not in old}
-    return header.changed(
-        {"provenance": known | hands.provenance | missing_hand_provenance(header.frames, hands.found)}
-    )
+    missing = missing_hand_provenance(header.frames, hands.found)
+    return header.changed({"provenance": known | hands.provenance | missing})
 
 
 def _print_hand_sources(hands: TrackedHands, frames: Sequence[str]) -> None:
-    """Print where the hands come from, with a warning for what is guessed or missing."""
+    """Print the sources of hands, with warnings about guesses and frames without a hand."""
     for key, text in hands.provenance.items():
         report_source(key, text)
     missing = [name for n, name in enumerate(frames) if n not in hands.found]
@@ -351,13 +330,13 @@ def _print_hand_sources(hands: TrackedHands, frames: Sequence[str]) -> None:
 
 
 def _hand_warnings(hands: TrackedHands, frames: int) -> tuple[str, ...]:
-    """Return warnings about hands; that most frames lack them is one."""
+    """Return the warnings about hands, and one if most frames lack a hand."""
     most = 2 * len(hands.found) < frames
     return (*hands.warnings, f"only {len(hands.found)} of {frames} frames have a hand") if most else hands.warnings
 
 
 def _exit_status(K: Float[ndarray, "T 3 3"], size: tuple[int, int], warnings: tuple[str, ...]) -> int:
-    """0, or ``WARNING_EXIT_STATUS`` with warnings where the hands seem to be wrong, or the camera to belong to other images."""
+    """Print warnings about hands and camera; return ``WARNING_EXIT_STATUS`` with any, else 0."""
     camera = camera_warning(K, size)
     texts = [*(f"hands: {text}" for text in warnings), *([f"camera: {camera}"] if camera else [])]
     for text in texts:
@@ -366,16 +345,14 @@ def _exit_status(K: Float[ndarray, "T 3 3"], size: tuple[int, int], warnings: tu
 
 
 def _hand_mask_paths(header: ClipHeader) -> tuple[Path | None, ...]:
-    """Return the clip's masks of its hand; None for frames without one."""
-    images = [f"masks/hand/{frame}.png" for frame in header.frames]
-    there = [(header.folder / image).is_file() for image in images]
+    """Return the clip's hand masks; None for frames without one."""
+    images = (f"masks/hand/{frame}.png" for frame in header.frames)
     return tuple(
-        files.inside(header.folder, image, "", "a mask of the hand") if known else None
-        for image, known in zip(images, there, strict=True)
+        files.inside(header.folder, image, "", "a mask of the hand") if (header.folder / image).is_file() else None
+        for image in images
     )
 
 
 def _join_first_names(names: Iterable[str]) -> str:
-    """List the first few of them."""
     stated = list(names)
     return ", ".join(stated[:5]) + (", ..." if len(stated) > 5 else "")

@@ -16,7 +16,7 @@ from getagrip.cli.command import Command
 from getagrip.cli.draft import DRAFT_ANNOTATOR, Draft
 from getagrip.cli.export import Export
 from getagrip.errors import UsageError
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.io.options import Flag, Folder, OptionalFolder
 from getagrip.io.terminal import format_count, print_result
 
@@ -41,8 +41,9 @@ class Effort(NamedTuple):
     active_s: float
 
     def __str__(self) -> str:
-        what = f"{format_count(self.drawn, 'stroke or outline', 'strokes and outlines')} on {format_count(self.frames, 'frame')}"
-        return f"{self.grasp}: {what}, {format_count(self.changes, 'change')} in {self.active_s / 60:.1f} min without pauses"
+        drawn = format_count(self.drawn, "stroke or outline", "strokes and outlines")
+        what = f"{drawn} on {format_count(self.frames, 'frame')}, {format_count(self.changes, 'change')}"
+        return f"{self.grasp}: {what} in {self.active_s / 60:.1f} min without pauses"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +118,7 @@ class Label(Command):
     def _tasks(self) -> tuple[list[Task], int]:
         """Return a task for each video that opens, and how many do not. Raises ``UsageError`` without any video."""
         from getagrip.io import files
-        from getagrip.readers.footage import VIDEO_SUFFIXES
+        from getagrip.readers.video import VIDEO_SUFFIXES
         from getagrip.studio.store.tasks import Task, read_tasks
 
         videos = files.list_files(self.videos, {suffix.lower() for suffix in VIDEO_SUFFIXES})
@@ -171,12 +172,13 @@ class Label(Command):
 
 def _reconstruct_grasp(project: Project, grasp: Grasp, shape: RequestedMesh) -> None:
     """Reconstruct a grasp, unless there is a result of its labels."""
+    from getagrip.cli import calls
     from getagrip.io.terminal import progress_bar
     from getagrip.studio.store.export_all import JobOnBar
 
     if not project.labelling.is_solved(grasp):
         with progress_bar() as bar:
-            print_result(project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name)))
+            print_result(project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name, calls.run_call)))
 
 
 def _measure_effort(project: Project, grasp: Grasp) -> Effort:

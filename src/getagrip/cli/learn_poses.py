@@ -1,4 +1,4 @@
-"""``getagrip init learn``: starting poses from the true poses of clips."""
+"""``getagrip init learn``: initial poses from the true poses of clips."""
 
 from __future__ import annotations
 
@@ -49,10 +49,9 @@ class LearnPoses(Command):
             files.check_folder("--as-folder", self.as_folder)
 
     def run(self) -> int:
-        """Learn starting poses from clips, those of some subjects left out; 1 if a clip could not be used, else 0.
+        """Learn initial poses from clips, without those of some subjects; return 1 if a clip could not be used, else 0.
 
-        Raises ``UsageError`` where no clip is left, where no clip has a subject that is to be left out, and where the
-        poses have no place as a folder.
+        Raises ``UsageError`` if no clip is left, and for a subject of ``--leave-out`` that no clip has.
         """
         from getagrip.batch.clips import clips_by_name, print_outcome
         from getagrip.batch.job import failed_outcome
@@ -66,20 +65,19 @@ class LearnPoses(Command):
         if not 0 <= self.seed < 2**63:
             raise UsageError(f"--seed must be 0 or more (got {self.seed})")
         clips, failed = clips_by_name(self.clips)
-        holds = []
+        poses = []
         for name, folder in clips.items():
             try:
-                holds.append(clusters.true_grasp_pose(read_clip(folder)))
-            except Exception as error:  # one clip's trouble must not end the others
+                poses.append(clusters.true_grasp_pose(read_clip(folder)))
+            except Exception as error:  # one clip's failure must not end the others
                 failed.append(failed_outcome(name, error))
         for outcome in failed:
             print_outcome(outcome, self.debug)
-        subjects = {hold.subject for hold in holds}
-        unknown = sorted({*self.leave_out} - subjects)
-        if unknown:
+        subjects = {pose.subject for pose in poses}
+        if unknown := sorted({*self.leave_out} - subjects):
             known = ", ".join(sorted(subjects - {""})) or "none: the clips name no subject in their provenance"
             raise UsageError(f"unknown subject {', '.join(unknown)} of --leave-out; choose from {known}")
-        kept = [hold for hold in holds if hold.subject not in self.leave_out]
+        kept = [pose for pose in poses if pose.subject not in self.leave_out]
         if not kept:
             raise UsageError("missing CLIP: no clip with true poses is left to learn from")
         grasps_learnt = clusters.LearntGrasps(tuple(kept), self.k, self.way, self.seed)
@@ -90,21 +88,20 @@ class LearnPoses(Command):
         _print_counts(learnt, kept)
         whose = format_count(len(learnt.subjects), "subject") if learnt.subjects else "unknown subjects"
         made = f"{format_count(len(learnt.side), 'pose')} from {format_count(len(kept), 'clip')} of {whose}"
-        print(f"{self.out}: {made}, {len(holds) - len(kept)} left out")
+        print(f"{self.out}: {made}, {len(poses) - len(kept)} left out")
         if len(learnt.subjects) > 1:
             print("a clip of one of them starts from what is learnt without its subject")
         if self.as_folder is not None:
             print(f"{self.as_folder}: the same poses as a folder, which does not say what they were learnt from")
-        nameless = sum(not hold.subject for hold in kept)
-        if nameless:
-            those = format_count(nameless, "clip names", "clips name")
-            print(f"{those} no subject: each starts from the others, whoever they are", file=sys.stderr)
+        if nameless := sum(not pose.subject for pose in kept):
+            clips_in_words = format_count(nameless, "clip names", "clips name")
+            print(f"{clips_in_words} no subject: each starts from the others, whoever they are", file=sys.stderr)
         return 1 if failed else 0
 
 
 def _print_counts(learnt: clusters.PosePriors, kept: Sequence[clusters.TrueGraspPose]) -> None:
-    """How many poses each category and side of hand has, and from how many grasps."""
+    """Print the number of poses and grasps for each category and side."""
     poses = Counter(zip(learnt.category, learnt.side, strict=True))
-    grasps = Counter((hold.category, hold.side) for hold in kept)
+    grasps = Counter((pose.category, pose.side) for pose in kept)
     for key in sorted(poses):
         print(f"{', '.join(key)}: {format_count(poses[key], 'pose')} from {format_count(grasps[key], 'grasp')}")

@@ -1,9 +1,7 @@
-"""``getagrip clip new``: a clip from the user's own video, masks, hands and mesh, as far as they are there.
+"""``getagrip clip new``: a clip from the user's own video, masks, hands and mesh.
 
-A clip can be made in steps: without hands or masks it is written with its images, for which an estimator or a
-segmentation can then be run; what is missing is listed, with how to get it.
-
-The mesh of a user's own clip: from a file or, by its kind's name, one of this package's shapes; at a stated size.
+A clip can be made in steps: without hands or masks it is written with its images, for an estimator or a segmentation.
+Missing inputs are listed with instructions. The mesh comes from a file, or is a built-in shape; its size may be stated.
 """
 
 from __future__ import annotations
@@ -16,9 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from getagrip.cli.command import Command, FirstNumber, Labels, OptionalSide
+from getagrip.cli.command import WARNING_EXIT_STATUS, Command, FirstNumber, Labels, OptionalSide, refuse_existing
 from getagrip.errors import InputError, UsageError
-from getagrip.geometry.camera import Distortion, Lens
+from getagrip.geometry.lens import Distortion, Lens
 from getagrip.io import files
 from getagrip.io.options import Flag, Folder, OptionalFile, one_of
 from getagrip.io.terminal import format_count, warn
@@ -37,9 +35,30 @@ if TYPE_CHECKING:
 Unit = Literal["mm", "cm", "m", "in"]
 METRES_PER_UNIT: dict[Unit, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 MIN_PART_SIZE_FRACTION = 0.05
-"""Parts smaller than this do not count as things of their own [share of the mesh's size]."""
+"""Size, as a fraction of the mesh's, below which a separate part is debris."""
 FREE_SCALE_SIZE_M = 0.1
-"""Largest side that a mesh of free scale gets where its own is no hand-held object's in metres [m]."""
+"""Largest side of a mesh of free scale whose own size in metres is implausible for a hand-held object [m]."""
+MAX_CLIP_FRAMES = 20_000
+"""Maximum number of frames of a clip: minutes."""
+MISSING_OPTION_HINTS = {
+    "interval": "--interval START END: the frames between which the grasp is stable, counted from 1; "
+    "getagrip annotate {video} --out DIR finds them; or all frames, for reconstruct --find-grasps",
+    "side": "--side left|right: the hand that holds the object",
+    "mesh": "--mesh FILE: the object's shape (.obj, .ply, .stl, .glb), a CAD, a scan, or what an image-to-3D tool "
+    "makes of a frame; or --mesh KIND, as plate, for a shape of this package's own; with --size-mm or --diameter-mm if "
+    "its size is known",
+    "camera": "--K FX FY CX CY from a calibration, or --focal PX; --guess-focal if there is none: depth and size are "
+    "then guesses, too",
+}
+"""Instructions for required inputs."""
+NEXT_STEP_HINTS = {
+    "masks": "masks of the object and the hand: SAM 2 or any segmentation of {out}/frames, as PNG labels, COCO "
+    "or .npz; then getagrip import masks PATH --object LABEL --hand LABEL --clip {out}. Without a segmentation: "
+    "getagrip annotate {video} --out DIR (docs/annotate.md)",
+    "hands": "run an estimator on {out}/frames (docs/estimators.md); then getagrip import hands FILE... --from ... "
+    "--clip {out}. Without an estimator: click joints in getagrip annotate {video} --out DIR (docs/annotate.md)",
+}
+"""Instructions for inputs that can be added later; the page of ``annotate`` makes both at once."""
 
 
 @dataclass(frozen=True)
@@ -63,14 +82,14 @@ class MeshOptions:
 
     @property
     def path(self) -> Path:
-        """The mesh. Raises ``UsageError`` where none is named."""
+        """The mesh file or built-in shape. Raises ``UsageError`` if none is named."""
         if self.mesh is None:
             raise UsageError("missing --mesh: the object's shape")
         return self.mesh
 
     @property
     def kind(self) -> str | None:
-        """The kind of object whose own shape is wanted; None for a file."""
+        """The name of a built-in shape; None for a file."""
         from getagrip.synthetic.categories import SHAPE_MAKERS
 
         name = str(self.mesh)
@@ -83,15 +102,15 @@ class OwnMesh:
 
     mesh: Mesh
     sized: bool
-    """True if it has the object's size; else the size is to be found with the pose."""
+    """True if the mesh has the object's size; False: the size is estimated with the pose."""
     provenance: dict[str, Source]
     """Sources of the mesh and its size."""
 
 
 def read_own_mesh(request: MeshOptions) -> OwnMesh:
-    """Read the mesh at its size.
+    """Read the mesh at the stated size.
 
-    Raises ``InputError`` for a file that is missing or no mesh, ``UsageError`` for sizes that make no sense.
+    Raises ``InputError`` for a missing file or one without a mesh, ``UsageError`` for options that do not fit.
     """
     from getagrip.geometry.mesh_files import checked_mesh, drop_degenerate_faces
     from getagrip.provenance import assumed
@@ -118,7 +137,6 @@ def read_own_mesh(request: MeshOptions) -> OwnMesh:
 
 
 def _read_mesh_arrays(request: MeshOptions) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], Source]:
-    """Vertices, faces, and where they come from."""
     from getagrip.geometry.mesh_files import MESH_SUFFIXES, parse_mesh
     from getagrip.provenance import Source, assumed
     from getagrip.synthetic.categories import SHAPE_MAKERS
@@ -136,9 +154,9 @@ def _read_mesh_arrays(request: MeshOptions) -> tuple[Float[ndarray, "..."], Int[
 def _select_mesh_part(
     vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."], request: MeshOptions
 ) -> tuple[Int[ndarray, "..."], str, bool]:
-    """Return the faces of the part that is the object, what is said of it, and whether that is a guess.
+    """Return the faces of the object's part, a description for the provenance, and whether the choice is a guess.
 
-    Raises ``UsageError`` where a size is stated and it is not known of which of several parts, small debris apart.
+    Raises ``UsageError`` for a stated size and several parts larger than debris without ``--part``.
     """
     import numpy as np
 
@@ -148,14 +166,13 @@ def _select_mesh_part(
         raise UsageError(f"--part must be the number of a part, from 1, or all (got {request.part!r})")
     usable = vertices.ndim == 2 and vertices.shape[1:] == (3,) and faces.shape[1:] == (3,) and faces.size
     if not usable or not 0 <= faces.min() <= faces.max() < len(vertices) or not np.isfinite(vertices).all():
-        return faces, "", False  # checked_mesh says what is wrong
+        return faces, "", False  # checked_mesh reports the error
     parts = separate_parts(vertices, faces)
     sides = [np.ptp(vertices[faces[part].ravel()], axis=0) for part in parts]
     whole = float(np.ptp(vertices[faces.ravel()], axis=0).max())
     count = sum(side.max() >= MIN_PART_SIZE_FRACTION * whole for side in sides)
-    listed = ", ".join(
-        " x ".join(f"{METRES_PER_UNIT[request.unit or 'm'] * each:.3g}" for each in side) for side in sides[:count]
-    )
+    metres = METRES_PER_UNIT[request.unit or "m"]
+    listed = ", ".join(" x ".join(f"{metres * length:.3g}" for length in side) for side in sides[:count])
     if request.part is not None and request.part != "all":
         number = int(request.part)
         if number > len(parts):
@@ -174,9 +191,9 @@ def _select_mesh_part(
 def _rescale_vertices(
     vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."], request: MeshOptions
 ) -> tuple[Float[ndarray, "..."], Source | None]:
-    """Vertices at the size that is stated, and where it comes from; None where none is stated.
+    """Return vertices at the stated size, with the source of the size; None if the file's size is kept.
 
-    The size is that of the surface: files hold points that no face uses.
+    Points that no face uses do not count for the size.
     """
     import numpy as np
 
@@ -198,48 +215,20 @@ def _rescale_vertices(
         return known_unit * vertices, None
     if not stated and request.known_scale:
         got = f"the object {known_unit * extent:.4g} m large"
-        expected = f"{MIN_MESH_EXTENT_M:g} to {MAX_MESH_EXTENT_M:g} m; if the file is in another unit than the metre, --unit mm, cm or in"
-        raise InputError(request.path, "vertices", got, f"{expected}, or --size-mm or --diameter-mm")
+        otherwise = "if the file is in another unit than the metre, --unit mm, cm or in, or --size-mm or --diameter-mm"
+        expected = f"{MIN_MESH_EXTENT_M:g} to {MAX_MESH_EXTENT_M:g} m; {otherwise}"
+        raise InputError(request.path, "vertices", got, expected)
     if not stated:
         factor = FREE_SCALE_SIZE_M / extent
         text = f"the mesh, {extent:.4g} units large, rescaled by {factor:.6g}: its size is a guess"
         return factor * vertices, assumed(text)
     option, value = stated[0]
     if not 1e3 * MIN_MESH_EXTENT_M <= value <= 1e3 * MAX_MESH_EXTENT_M:
-        raise UsageError(
-            f"{option} must be {1e3 * MIN_MESH_EXTENT_M:g} to {1e3 * MAX_MESH_EXTENT_M:g} millimetres (got {value:g})"
-        )
+        allowed = f"{1e3 * MIN_MESH_EXTENT_M:g} to {1e3 * MAX_MESH_EXTENT_M:g} millimetres"
+        raise UsageError(f"{option} must be {allowed} (got {value:g})")
     now = (diameter(used) if option == "--diameter-mm" else extent) if extent else 0.0
-    factor = value / 1e3 / now if now > 0 else 1.0  # checked_mesh reports what is wrong with the others
+    factor = value / 1e3 / now if now > 0 else 1.0  # checked_mesh reports the error of the others
     return vertices * factor, Source(f"the mesh rescaled by {factor:.6g}, to {option} {value:g}")
-
-
-MAX_CLIP_FRAMES = 20_000
-"""Most frames of a clip; a stable grasp of minutes."""
-INCOMPLETE_EXIT_STATUS = 3
-"""Exit status where the clip is made, and lacks masks or hands, or most frames lack a hand, or its camera seems to be
-of other images."""
-
-
-MISSING_OPTION_HINTS = {
-    "interval": "--interval START END: the frames between which the grasp is stable, counted from 1; "
-    "getagrip annotate {video} --out DIR finds them; or all frames, for reconstruct --find-grasps",
-    "side": "--side left|right: the hand that holds the object",
-    "mesh": "--mesh FILE: the object's shape (.obj, .ply, .stl, .glb), a CAD, a scan, or what an image-to-3D tool "
-    "makes of a frame; or --mesh KIND, as plate, for a shape of this package's own; with --size-mm or --diameter-mm if "
-    "its size is known",
-    "camera": "--K FX FY CX CY from a calibration, or --focal PX; --guess-focal if there is none: depth and size are "
-    "then guesses, too",
-}
-"""How to get what a clip cannot be made without."""
-NEXT_STEP_HINTS = {
-    "masks": "masks of the object and the hand: SAM 2 or any segmentation of {out}/frames, as PNG labels, COCO "
-    "or .npz; then getagrip import masks PATH --object LABEL --hand LABEL --clip {out}. Without a segmentation: "
-    "getagrip annotate {video} --out DIR (docs/annotate.md)",
-    "hands": "run an estimator on {out}/frames (docs/estimators.md); then getagrip import hands FILE... --from ... "
-    "--clip {out}. Without an estimator: click joints in getagrip annotate {video} --out DIR (docs/annotate.md)",
-}
-"""How to get what can be added later; the page of ``annotate`` makes both at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -291,9 +280,9 @@ class NewClip(Command):
     def run(self) -> int:
         """Write a clip.
 
-        Returns 0 if it is complete, 3 if masks or hands are missing or there is a warning about its camera, 2 if
-        required options are missing. Raises ``InputError`` for files that do not fit, ``UsageError`` where the folder
-        exists, unless it is that of a clip to be overwritten.
+        Returns 0 for a complete clip, 2 without required options, 3 if masks are missing, if the hands of most frames
+        are, or with a warning about the camera. Raises ``InputError`` for files that do not fit, ``UsageError`` for an
+        existing folder without ``--overwrite``.
         """
         import numpy as np
 
@@ -305,20 +294,20 @@ class NewClip(Command):
         from getagrip.clip.write import missing_hand_provenance
         from getagrip.readers.video import footage_interval, size_and_rate
 
-        if self.out.exists() and not self.overwrite:
-            raise UsageError(f"{self.out}: exists already; --overwrite replaces it")
+        refuse_existing(self.out, self.overwrite)
         if not files.is_portable_name(self.out.name):
             raise UsageError(f"--out must be a folder whose name can be the clip's (got {self.out})")
         size, fps = size_and_rate(self.video, self.fps, self.images)
         print(f"video: {size[0]} x {size[1]}, {fps:.6g} frames per second")
         hands = None if self.hands is None else HandFile.of(self.hands)
-        has = {
-            "interval": self.interval is not None,
-            "side": self.side is not None,
-            "mesh": self.shape.mesh is not None,
-            "camera": self.lens.is_set or (hands is not None and hands.K is not None),
+        camera_known = self.lens.is_set or (hands is not None and hands.K is not None)
+        required = {
+            "interval": self.interval,
+            "side": self.side,
+            "mesh": self.shape.mesh,
+            "camera": camera_known or None,
         }
-        missing = [key for key, there in has.items() if not there]
+        missing = [key for key, value in required.items() if value is None]
         for key in missing:
             print(f"missing: {key}: {MISSING_OPTION_HINTS[key].format(video=self.video)}", file=sys.stderr)
         if missing or self.interval is None or self.side is None:
@@ -366,7 +355,7 @@ class NewClip(Command):
 
 
 def _read_new_segments(new: NewClip, out: Path) -> SegmentList:
-    """Read the segments and the camera's motion; empty for a clip that is one stable grasp."""
+    """Read the segments and the statement about the camera; no segments for a single stable grasp."""
     from getagrip.cli.import_files import add_camera_statement
     from getagrip.clip.read import SegmentList, read_segment_list
 
@@ -387,7 +376,7 @@ def _interval_frame_numbers(interval: tuple[int, int]) -> Int[ndarray, "T"]:
 
 
 def _empty_hand_track(frames: int) -> HandTrack:
-    """Make a hand without vertices, which is not written."""
+    """Make a hand without vertices, for a clip without hands."""
     import numpy as np
 
     from getagrip.clip import HandTrack
@@ -397,7 +386,6 @@ def _empty_hand_track(frames: int) -> HandTrack:
 
 
 def _masks_source(new: NewClip) -> str:
-    """Return the source of masks."""
     from getagrip.cli.import_files import masks_provenance
 
     if new.masks is None:
@@ -406,17 +394,14 @@ def _masks_source(new: NewClip) -> str:
 
 
 def _open_clip_masks(new: NewClip, names: tuple[str, ...], size: tuple[int, int]) -> MaskReader:
-    """Open a reader of the masks of the clip's frames."""
-    from getagrip.clip.match_frames import renumber_frames
+    from getagrip.cli.import_files import NumberedFrames
     from getagrip.readers.masks.mask_request import MaskRequest
     from getagrip.readers.masks.mask_sources import open_masks
 
     assert new.masks is not None
-    if new.mask_first is not None:
-        names = renumber_frames(names, new.mask_first, "--mask-first")
-    ask_first = "--mask-first" if new.mask_first is None else ""
+    names, ask_first, counted = NumberedFrames.of(names, new.mask_first, "--mask-first")
     labels = new.object, new.ignore, new.hand
-    request = MaskRequest(names, size, *labels, ask_first, not ask_first, new.mask_images, "--mask-images")
+    request = MaskRequest(names, size, *labels, ask_first, counted, new.mask_images, "--mask-images")
     return open_masks(new.masks, request)
 
 
@@ -428,9 +413,9 @@ def _write_new_clip(
     out: Path,
     overwrite: bool,
 ) -> int:
-    """Write the clip, its images and masks one by one, and read it again: a clip that is written is valid.
+    """Write the clip with its images and masks, one at a time, and read it again, so that a written clip is valid.
 
-    Returns in how many frames masks show the object.
+    Returns the number of frames whose masks show the object.
     """
     from getagrip.cli.import_files import write_reader_masks
     from getagrip.clip.write import write_clip_contents, write_hand_at
@@ -447,7 +432,7 @@ def _write_new_clip(
 
 
 def _check_written_clip(made: Path, masks: bool, out: Path) -> None:
-    """Read the clip as everybody will. Raises ``InputError``, in the name of the folder that it is to have."""
+    """Read the clip in a temporary folder. Raises ``InputError``, with paths in its final folder ``out``."""
     from getagrip.clip import read_clip, read_observed
 
     try:
@@ -460,24 +445,22 @@ def _check_written_clip(made: Path, masks: bool, out: Path) -> None:
 
 
 def _print_new_clip(clip: Clip, new: NewClip, hands: TrackedHands | None, out: Path) -> int:
-    """Print what was made, what is a guess and what is missing; 3 where something is."""
+    """Print the clip, its assumptions and missing inputs; return 3 with missing inputs or warnings, else 0."""
     from getagrip.clip.intrinsics import camera_warning
     from getagrip.provenance import is_assumed
 
     print(f"{out}: {len(clip)} frames")
     if hands and len(hands.found) < len(clip):
-        bare = len(clip) - len(hands.found)
-        warn(
-            f"no hand in {bare} of {len(clip)} frames, which are left out until they have one; "
-            f"getagrip import hands ... --clip {out} --overwrite"
-        )
+        bare = f"no hand in {len(clip) - len(hands.found)} of {len(clip)} frames"
+        command = f"getagrip import hands ... --clip {out} --overwrite"
+        warn(f"{bare}, which are left out until they have one; {command}")
     for key, text in clip.provenance.items():
         if is_assumed(text):
             warn(f"{key}: {text}")
     if warning := camera_warning(clip.K, clip.size):
         warn(f"camera: {warning}")
-    missing = [key for key, there in (("masks", new.masks), ("hands", new.hands)) if there is None]
+    missing = [key for key, path in (("masks", new.masks), ("hands", new.hands)) if path is None]
     for key in missing:
         print(f"missing: {key}: {NEXT_STEP_HINTS[key].format(out=out, video=new.video)}", file=sys.stderr)
     few_hands = hands is not None and 2 * len(hands.found) < len(clip)
-    return INCOMPLETE_EXIT_STATUS if missing or warning or few_hands else 0
+    return WARNING_EXIT_STATUS if missing or warning or few_hands else 0

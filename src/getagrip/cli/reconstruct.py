@@ -1,4 +1,4 @@
-"""``getagrip reconstruct``: clips to results; with ``--find-grasps``, uncut clips to their segments first."""
+"""``getagrip reconstruct``: results of clips; for uncut clips (``--find-grasps``) the segments are found first."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from getagrip.batch.detect_job import DetectedClip, DetectionJob
 
 CUT_CLIPS_FOLDER = "clips"
-"""Folder, in that of the results, of the clips with their segments, or of the grasps' own clips."""
+"""Subfolder of the results for the clips with their segments, or for the grasps as clips."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,17 +48,16 @@ class Reconstruct(Command):
         if not (self.find_grasps or self.cut_grasps):
             return reconstruct_clips(self.clips, self.out, self.options, self.batch, self.debug)
         name = "--cut-grasps" if self.cut_grasps else "--find-grasps"
-        return self._run_found(
-            [require_local_path(name, clip) for clip in self.clips], require_local_path(name, self.out)
-        )
+        clips = [require_local_path(name, clip) for clip in self.clips]
+        return self._run_found(clips, require_local_path(name, self.out))
 
     def _run_found(self, paths: Sequence[Path], out: Path) -> int:
-        """Find the segments of clips in their masks and reconstruct each clip as a timeline into ``out/<clip>/``.
+        """Find the segments of clips in their masks, and reconstruct each clip as a timeline into ``out/<clip>/``.
 
-        With ``cut_grasps`` its stable grasps instead, each by itself, into ``out/<clip>--<n>/``; a clip without a grasp
-        is no failure then. The clips that are reconstructed are written to ``out/clips``, which has a ledger of its
-        own, and kept there also where results are made again. Returns 1 if any failed. Raises as ``reconstruct_clips``
-        does, and ``UsageError`` for another method than timelines have.
+        With ``cut_grasps`` each stable grasp is reconstructed as its own clip into ``out/<clip>--<n>/``; a clip without
+        grasps is then no failure. The reconstructed clips are written to ``out/clips``, which has its own ledger, and
+        are kept when results are made again. Returns 1 if any failed. Raises as ``reconstruct_clips`` does, and
+        ``UsageError`` for a method that timelines do not support.
         """
         from getagrip.batch.clips import clips_by_name, print_outcome, reconstruct_clips
         from getagrip.batch.detect_job import DetectionJob
@@ -78,10 +77,8 @@ class Reconstruct(Command):
         clips, failed = clips_by_name(paths)
         for outcome in failed:
             print_outcome(outcome, self.debug)
-        named = [(name, folder) for name, folder in clips.items() if name in share.shard]
-        jobs = [
-            DetectionJob(name, folder, out / CUT_CLIPS_FOLDER, self.options, self.cut_grasps) for name, folder in named
-        ]
+        own, clips_folder = {name: clips[name] for name in clips if name in share.shard}, out / CUT_CLIPS_FOLDER
+        jobs = [DetectionJob(name, clip, clips_folder, self.options, self.cut_grasps) for name, clip in own.items()]
         found = [] if share.fail_fast and failed else self._find(jobs, out)
         failures = len(failed) + len(jobs) - len(found)
         made = [folder for one in found for folder in one.folders]
@@ -91,13 +88,13 @@ class Reconstruct(Command):
         return max(int(failures > 0), reconstruct_clips(made, out, self.options, found_here, self.debug))
 
     def _find(self, jobs: Sequence[DetectionJob], out: Path) -> list[DetectedClip]:
-        """Find the segments of each clip, in order, without clips that fail; print all of it."""
+        """Find and print the segments of each clip, in order; failures are printed and left out."""
         from contextlib import closing
 
         from getagrip.batch.clips import print_outcome
-        from getagrip.batch.detect_job import DetectedClip, detect_clip_segments, detection_entry, failure_of
+        from getagrip.batch.detect_job import DetectedClip, detect_clip_segments, detection_entry
         from getagrip.batch.engine import Engine
-        from getagrip.batch.job import preload_solver
+        from getagrip.batch.job import lost_outcome, preload_solver
         from getagrip.batch.ledger import Ledger
         from getagrip.io import files
         from getagrip.io.terminal import print_note, print_result
@@ -107,13 +104,8 @@ class Reconstruct(Command):
         found: dict[str, DetectedClip] = {}
         share = self.batch.share
         files.remove_stale_folders(files.folder_inside(out, CUT_CLIPS_FOLDER))
-        engine = Engine(
-            work=detect_clip_segments,
-            lost=failure_of,
-            entry=detection_entry,
-            options=[asdict(jobs[0].options), jobs[0].alone],
-            prepare=preload_solver,
-        )
+        options = [asdict(jobs[0].options), jobs[0].alone]
+        engine = Engine(detect_clip_segments, lost_outcome, detection_entry, options, prepare=preload_solver)
         with (
             Ledger(files.folder_inside(share.ledger or out, CUT_CLIPS_FOLDER)) as ledger,
             closing(share.ended(engine, jobs, len(jobs), ledger, "clips", stages=True)) as ends,

@@ -1,4 +1,4 @@
-"""``getagrip refine``: another system's poses of the object become the start of a joint fit with all evidence."""
+"""``getagrip refine``: a joint fit with all evidence that starts from another system's poses of the object."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     from getagrip.result.findings import Probability
 
 REFINED_POSES_FOLDER = "in-given-format"
-"""Folder, in that of the results, of the poses in the other system's format."""
+"""Subfolder of the results for the refined poses in the other system's format."""
 CHANGES_FILE = "changes.csv"
-"""Table beside it of what changed."""
+"""Table of the changes, in the folder of the results."""
 CHANGES_COLUMNS = (
     "clip", "iou_before", "iou_after", "moved_mm", "turned_deg", "right_in_hand_before", "right_in_hand_before_at_most",
     "right_in_hand_after", "right_in_camera_before", "right_in_camera_before_at_most", "right_in_camera_after",
 )  # fmt: skip
 MAX_EQUAL_POSES_DIAMETERS, MIN_EXCLUSIVE_POSES_DIAMETERS = 0.03, 0.2
-"""Poses nearer than this are one solution, and farther apart than this they cannot both be right [diameters]."""
+"""Distances up to which poses are one solution, and from which they cannot both be right [diameters]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class Refine(Command):
     batch: Annotated[BatchOptions, arg(name="")] = field(default_factory=BatchOptions)
 
     def run(self) -> int:
-        """Reconstruct the clips, write their poses in the format of PATH, and print what changed."""
+        """Reconstruct the clips, write their poses in the format of PATH, and print the changes."""
         from getagrip.batch.clips import clips_by_name, reconstruct_clips
         from getagrip.io import files
 
@@ -64,16 +64,15 @@ class Refine(Command):
         status = reconstruct_clips(self.clips, self.out, options, self.batch, self.debug)
         refined = files.folder_inside(self.out, REFINED_POSES_FOLDER)
         shard = self.batch.share.shard
-        named = [(name, folder) for name, folder in clips_by_name(self.clips)[0].items() if name in shard]
-        changes = [made for name, folder in named if (made := self._written(name, folder, refined)) is not None]
-        if changes:
+        clips = [(name, folder) for name, folder in clips_by_name(self.clips)[0].items() if name in shard]
+        if changes := [made for name, folder in clips if (made := self._written(name, folder, refined)) is not None]:
             _print_changes(changes)
             files.write_csv(self.out / CHANGES_FILE, [CHANGES_COLUMNS, *(one.cells for one in changes)])
             print(self.out / CHANGES_FILE)
         return status
 
     def _written(self, name: str, folder: Path, refined: Path) -> Change | None:
-        """Write the refined poses of a clip; return what changed, None where there is no result."""
+        """Write the refined poses of a clip; return the change, None without a result."""
         from getagrip.clip import find_masks, read_clip
         from getagrip.clip.object_poses import (
             ExternalTrack,
@@ -91,22 +90,17 @@ class Refine(Command):
             return None
         after, _ = read_result(self.out / name)
         whole = read_clip(folder)
-        clip = whole.take(whole.index_of(after.frames))
-        place = find_poses_path(self.poses, clip.name)
-        before = read_external_poses(place, place.stem, whole, find_masks(whole), self.first).take(
-            whole.index_of(after.frames)
-        )
+        index = whole.index_of(after.frames)
+        clip, place = whole.take(index), find_poses_path(self.poses, whole.name)
+        before = read_external_poses(place, place.stem, whole, find_masks(whole), self.first).take(index)
         if is_result(place):
             own, _ = read_result(place)
-            before = replace(
-                before, probability_right=own.probability_right,
-                probability_right_in_camera=own.probability_right_in_camera,
-            )  # fmt: skip
+            in_hand, in_camera = own.probability_right, own.probability_right_in_camera
+            before = replace(before, probability_right=in_hand, probability_right_in_camera=in_camera)
         else:
             names = read_poses(place, whole, self.first).names
-            T_cam_hand = clip.hand.T_cam_hand if after.T_cam_hand is None else after.T_cam_hand
-            names = tuple(names[n] for n in whole.index_of(after.frames))
-            T_cam_obj = T_cam_hand @ after.T_hand_obj
+            names = tuple(names[n] for n in index)
+            T_cam_obj = _hand_poses(clip, after) @ after.T_hand_obj
             T_hand_obj = se3.inverse(clip.hand.T_cam_hand) @ T_cam_obj  # in the clip's hand, as in the file
             track = ExternalTrack(names, T_cam_obj, T_hand_obj, after.scale, after.iou)
             write_poses_like(find_pose_table(place), track, files.folder_inside(refined, clip.name))
@@ -115,11 +109,11 @@ class Refine(Command):
 
 @dataclass(frozen=True)
 class PoseProbabilities:
-    """How probable it is that poses are right, before and after, as far as that is known.
+    """Probabilities that poses are right, before and after the refinement; None where unknown.
 
     Attributes:
         before: probability of the poses in PATH.
-        at_most: a bound on it, where it is not known.
+        at_most: upper bound of ``before`` where that is unknown.
         after: probability of the refined poses.
     """
 
@@ -129,29 +123,25 @@ class PoseProbabilities:
 
     @staticmethod
     def of(before: Probability | None, after: Probability | None, apart: float) -> PoseProbabilities:
-        """Compute the probabilities; ``apart`` is how far the poses were moved [diameters].
+        """Compute the probabilities; ``apart`` is the distance of the poses before and after [diameters].
 
-        Only our results have a calibrated probability. Others' poses have ours where they are the same solution, and at
-        most the rest where both cannot be right.
+        Only this package's results have a calibrated probability. Another system's poses have the same probability if
+        they are the same solution, and at most the complement if both cannot be right.
         """
         if before is not None or after is None:
-            return PoseProbabilities(
-                None if before is None else before.value, None, None if after is None else after.value
-            )
-        same, most = (
-            apart <= MAX_EQUAL_POSES_DIAMETERS,
-            1.0 - after.value if apart >= MIN_EXCLUSIVE_POSES_DIAMETERS else None,
-        )
-        return PoseProbabilities(after.value if same else None, most, after.value)
+            known = (None if one is None else one.value for one in (before, after))
+            return PoseProbabilities(next(known), None, next(known))
+        same = after.value if apart <= MAX_EQUAL_POSES_DIAMETERS else None
+        most = 1.0 - after.value if apart >= MIN_EXCLUSIVE_POSES_DIAMETERS else None
+        return PoseProbabilities(same, most, after.value)
 
     @property
     def said(self) -> tuple[str, str]:
         """Both probabilities in words, before and after."""
         from getagrip.result.findings import format_probability
 
-        before, most, after = (
-            "-" if one is None else format_probability(one) for one in (self.before, self.at_most, self.after)
-        )
+        known = (self.before, self.at_most, self.after)
+        before, most, after = ("-" if one is None else format_probability(one) for one in known)
         if self.at_most is not None:
             before = most if most.startswith("<") else f"at most {most}"
         return before, after
@@ -165,7 +155,7 @@ class Change:
         iou: mean overlap with the masks, before and after.
         moved: median shift of the object's origin in the hand [m].
         turned: median rotation of the object in the hand [rad].
-        right: how probable it is that the poses are right in the hand, and in the camera.
+        right: probabilities that the poses are right in the hand, and in the camera.
         notes: remarks on the poses before.
     """
 
@@ -178,7 +168,7 @@ class Change:
 
     @property
     def cells(self) -> list[object]:
-        """Those of its line in ``CHANGES_FILE``."""
+        """Cells of the row of ``CHANGES_FILE``."""
         right = [value for one in self.right for value in (one.before, one.at_most, one.after)]
         return [self.clip, *self.iou, 1e3 * self.moved, math.degrees(self.turned), *right]
 
@@ -193,11 +183,8 @@ class Change:
         moved = np.median(np.linalg.norm(T[:, :3, 3] - S[:, :3, 3], axis=1))
         turned = np.median(se3.angle_between(T[:, :3, :3], S[:, :3, :3]))
         iou = float(np.nanmean(before.iou)), float(np.nanmean(after.iou))
-        in_camera = [clip.hand.T_cam_hand if one.T_cam_hand is None else one.T_cam_hand for one in (before, after)]
-        apart = (
-            _pose_distance_diameters(clip, (before, after), (T, S)),
-            _pose_distance_diameters(clip, (before, after), (in_camera[0] @ T, in_camera[1] @ S)),
-        )
+        both, in_camera = (before, after), (_hand_poses(clip, before) @ T, _hand_poses(clip, after) @ S)
+        apart = [_pose_distance_diameters(clip, both, poses) for poses in ((T, S), in_camera)]
         right = (
             PoseProbabilities.of(before.probability_right, after.probability_right, apart[0]),
             PoseProbabilities.of(before.probability_right_in_camera, after.probability_right_in_camera, apart[1]),
@@ -205,10 +192,14 @@ class Change:
         return Change(name, iou, float(moved), float(turned), right, before.notes[1:])
 
 
+def _hand_poses(clip: Clip, result: Reconstruction) -> Float[ndarray, "T 4 4"]:
+    return clip.hand.T_cam_hand if result.T_cam_hand is None else result.T_cam_hand
+
+
 def _pose_distance_diameters(
     clip: Clip, results: Sequence[Reconstruction], poses: Sequence[Float[ndarray, "T 4 4"]]
 ) -> float:
-    """Compute how far the first result's vertices are from the second's, up to symmetries [diameters]."""
+    """Compute the mean vertex distance of two results, up to symmetries [diameters]."""
     from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
     from getagrip.metrics.symmetry import find_symmetries
 
@@ -219,7 +210,6 @@ def _pose_distance_diameters(
 
 
 def _print_changes(changes: list[Change]) -> None:
-    """Print a line for each clip."""
     import numpy as np
     from rich.text import Text
 
@@ -231,10 +221,9 @@ def _print_changes(changes: list[Change]) -> None:
     for heading in ("clip", "IOU before", "after", "moved", "turned", *heads):
         table.add_column(heading, justify="left" if heading == "clip" else "right")
     for one in changes:
-        table.add_row(
-            Text(escape_unprintable(one.clip)), f"{one.iou[0]:.2f}", f"{one.iou[1]:.2f}", f"{1e3 * one.moved:.0f} mm",
-            f"{np.degrees(one.turned):.0f} deg", *one.right[0].said, *one.right[1].said,
-        )  # fmt: skip
+        change = f"{1e3 * one.moved:.0f} mm", f"{np.degrees(one.turned):.0f} deg"
+        right = *one.right[0].said, *one.right[1].said
+        table.add_row(Text(escape_unprintable(one.clip)), *(f"{iou:.2f}" for iou in one.iou), *change, *right)
     console().print(table)
     for one in changes:
         for note in one.notes or ([MISALIGNED_POSES_MESSAGE] if one.iou[0] == 0.0 else []):

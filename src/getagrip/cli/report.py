@@ -1,9 +1,4 @@
-"""``getagrip report``: pages of results, and an index of a folder of them.
-
-``getagrip view``: results in 3D on a local page, until it is interrupted.
-
-``getagrip status``: what has become of the clips of a folder of results, also while they are at work.
-"""
+"""``getagrip report``, ``view`` and ``status``: results as pages with an index, on a local page, and as a table."""
 
 from __future__ import annotations
 
@@ -17,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from tyro.conf import Positional, arg
 
-from getagrip.batch.summary import KeepOptions
-from getagrip.cli.command import ClipsFolder, Command, Workers
+from getagrip.batch.scheduling import KeepOptions
+from getagrip.cli.command import ClipsFolder, Command, Workers, failed_path_outcome
 from getagrip.cli.evaluate import is_batch_file, missing_result_error
 from getagrip.errors import InputError, UsageError, escape_unprintable
 from getagrip.io.options import Flag, OptionalFolder, place_argument
@@ -32,7 +27,12 @@ if TYPE_CHECKING:
 
 REPORT_PAGE, REPORT_PICTURE, REPORT_VIDEO, INDEX_PAGE = "report.html", "report.png", "report.mp4", "index.html"
 MAX_RESULTS_DEPTH = 4
-"""Folders below the one that is named in which results are looked for; a benchmark's are three below."""
+"""Depth up to which a folder is searched for results; a benchmark's are at depth 3."""
+MAX_STATUS_ROWS = 40
+"""Maximum number of rows of the status table; ``summary.csv`` has all clips."""
+STATE_LABELS = {"failed": "failed", "done": "done", "open": "left"}
+MAX_REASON_LENGTH = 100
+"""Maximum number of letters of a reason in the status table."""
 Reported: TypeAlias = "tuple[IndexRow, Outcome | None]"
 
 
@@ -67,7 +67,7 @@ class Report(Command):
             raise UsageError(f"--workers must be 1 or more (got {self.workers})")
 
     def run(self) -> int:
-        """Write what is wanted of each path; 1 if anything failed, else 0."""
+        """Write pages, pictures, films and indices of the paths; return 1 if any failed, else 0."""
         from getagrip.batch.clips import print_outcome
         from getagrip.batch.job import failed_outcome
 
@@ -93,7 +93,7 @@ class Report(Command):
 
 @dataclass(frozen=True)
 class ReportJob:
-    """A result to report on; ``root`` is the folder of the index, None for a result that was named itself."""
+    """A result to report on; ``root`` is the folder of the index, None for a result that the user names."""
 
     folder: Path
     root: Path | None
@@ -101,15 +101,12 @@ class ReportJob:
 
     @property
     def name(self) -> str:
-        """Path below the index."""
+        """Path relative to the index."""
         return "" if self.root is None else self.folder.relative_to(self.root).as_posix()
 
 
 def find_result_folders(path: Path, may_lack: bool = False) -> list[Path]:
-    """List the result folders anywhere in a folder, sorted.
-
-    Raises ``InputError`` where there is none but may not be.
-    """
+    """List the results anywhere in a folder, sorted. Raises ``InputError`` without any, unless it ``may_lack`` them."""
     if not path.is_dir():
         raise InputError(path, "", "no such folder", "a result, or a folder of results")
     found = []
@@ -126,18 +123,15 @@ def find_result_folders(path: Path, may_lack: bool = False) -> list[Path]:
 
 
 def report_one(job: ReportJob) -> Reported:
-    """Write the pages of a result; its row of the index, and what went wrong. Raises nothing."""
-    from getagrip.batch.job import failed_outcome
-
+    """Write the pages of a result, and return its row of the index; a failure is returned, not raised."""
     try:
         return _write_result_pages(job), None
-    except Exception as error:  # one result's trouble must not end the others
-        outcome = failed_outcome("" if isinstance(error, InputError) else str(job.folder), error)
+    except Exception as error:  # one result's failure must not end the others
+        outcome = failed_path_outcome(job.folder, error)
         return _failed_result_row(job, outcome.message), outcome
 
 
 def _write_result_pages(job: ReportJob) -> IndexRow:
-    """Write the pages of a result."""
     from getagrip.metrics.evaluate import evaluate, read_result_clip_masks
     from getagrip.report.film import write_film
     from getagrip.report.pages import index_row, write_page
@@ -158,7 +152,7 @@ def _write_result_pages(job: ReportJob) -> IndexRow:
 
 
 def _failed_result_row(job: ReportJob, problem: str) -> IndexRow:
-    """Make the row of a result whose pages could not be written, from its own files, if they can be read."""
+    """Make the row of a result whose pages failed, from its own files if they are readable."""
     from getagrip.report.pages import IndexRow, index_row_without_clip
     from getagrip.result import read_result
 
@@ -170,7 +164,7 @@ def _failed_result_row(job: ReportJob, problem: str) -> IndexRow:
 
 
 def _report_folder(path: Path, request: ReportRequest, workers: int | None) -> list[Outcome]:
-    """Report on all results in a folder and write their index, with what its ledger knows; what went wrong."""
+    """Report on all results in a folder, write the index with the ledger's other clips, and return failures."""
     from getagrip.batch.executor import PROCESS_DIED_TWICE, for_each_job
     from getagrip.batch.job import Outcome
     from getagrip.batch.ledger import open_existing_ledger
@@ -184,9 +178,8 @@ def _report_folder(path: Path, request: ReportRequest, workers: int | None) -> l
     jobs = [ReportJob(folder, path, request) for folder in find_result_folders(path, may_lack=bool(without))]
 
     def died(job: ReportJob) -> Reported:
-        return IndexRow(job.name, problem=PROCESS_DIED_TWICE, flags=("failed",)), Outcome(
-            str(job.folder), "failed", PROCESS_DIED_TWICE
-        )
+        row = IndexRow(job.name, problem=PROCESS_DIED_TWICE, flags=("failed",))
+        return row, Outcome(str(job.folder), "failed", PROCESS_DIED_TWICE)
 
     with progress_bar(counted=True) as bar:
         task = bar.add_task("results", total=len(jobs))
@@ -218,16 +211,15 @@ class ViewResults(Command):
             raise UsageError("missing PATH: name at least one result, clip, or folder of them")
 
     def run(self) -> int:
-        """Serve the page; 1 if any of the paths could not be read, else 0.
+        """Serve the page; return 1 if a path could not be read, else 0.
 
-        Raises ``UsageError`` for a port that is taken or an address that is not this machine's, and ``InputError``
-        where nothing can be shown.
+        Raises ``UsageError`` for a port in use or an address of another machine, ``InputError`` without readable paths.
         """
         from getagrip.batch.clips import print_outcome
         from getagrip.batch.job import failed_outcome
         from getagrip.report.pages.viewer import ViewerLibrary, ViewerServer, group_entries
 
-        print_result(f"reading {', '.join(map(str, self.paths))} ...")  # to load what draws takes seconds, too
+        print_result(f"reading {', '.join(map(str, self.paths))} ...")  # loading takes seconds
         problems: list[Exception] = []
         results, alone = find_results_and_clips(self.paths, problems)
         library = ViewerLibrary(group_entries(results, alone, self.clips, problems.append), problems.append)
@@ -247,9 +239,8 @@ class ViewResults(Command):
 
 
 def find_results_and_clips(paths: Sequence[Path], problems: list[Exception]) -> tuple[list[Path], list[Path]]:
-    """List the folders of results anywhere below paths, and of clips where there are no results."""
-    results: list[Path] = []
-    clips: list[Path] = []
+    """List the results anywhere in paths, and the clips of paths without results; others go to ``problems``."""
+    results, clips = list[Path](), list[Path]()
     for path in filterfalse(is_batch_file, paths):
         below = find_result_folders(path, may_lack=True) if path.is_dir() else []
         alone = [path] if (path / "clip.json").exists() else sorted(file.parent for file in path.glob("*/clip.json"))
@@ -259,14 +250,6 @@ def find_results_and_clips(paths: Sequence[Path], problems: list[Exception]) -> 
             got = "neither result.json nor clip.json in it or below" if path.is_dir() else "no such folder"
             problems.append(InputError(path, "", got, "a result, a clip, or a folder of them"))
     return results, clips
-
-
-MAX_STATUS_ROWS = 40
-"""Lines of the table; all clips are in ``summary.csv``."""
-STATE_LABELS = {"failed": "failed", "done": "done", "open": "left"}
-"""Words for the states."""
-MAX_REASON_LENGTH = 100
-"""Letters of a reason."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -282,23 +265,21 @@ class Status(Command):
     """The --ledger of reconstruct, if it had one. It is not changed."""
 
     def run(self) -> int:
-        """Print the states; raise ``InputError`` where there is neither ledger nor result."""
+        """Print the states of clips. Raises ``InputError`` for a folder without ledger and results."""
         import heapq
         from collections import Counter
 
         from getagrip.batch.ledger import ledger_folder, open_existing_ledger
         from getagrip.batch.summary import known_entries, ledger_severity_key, write_summary
-        from getagrip.io.terminal import print_note, print_result
+        from getagrip.io.terminal import print_note
 
-        out = self.folder
+        out, expected = self.folder, "the folder of results of getagrip reconstruct"
         if isinstance(out, Path) and not out.is_dir():
-            raise InputError(out, "", "no such folder", "the folder of results of getagrip reconstruct")
+            raise InputError(out, "", "no such folder", expected)
         with open_existing_ledger(ledger_folder(out, self.ledger)) as ledger:
             states = Counter(entry.state for entry in known_entries(ledger, out))
             if not states:
-                raise InputError(
-                    str(out), "", "neither a ledger nor a result", "the folder of results of getagrip reconstruct"
-                )
+                raise InputError(str(out), "", "neither a ledger nor a result", expected)
             _print_status_table(heapq.nsmallest(MAX_STATUS_ROWS, known_entries(ledger, out), key=ledger_severity_key))
             if (more := states.total() - MAX_STATUS_ROWS) > 0:
                 print_result(f"and {more} more, in summary.csv")
@@ -312,7 +293,7 @@ class Status(Command):
 
 
 def _print_status_table(entries: list[LedgerEntry]) -> None:
-    """Print a line for each clip: its state, IOU and probabilities, or why there are none."""
+    """Print a row for each clip: state, IOU and probabilities, or the reason of a failure."""
     from rich.text import Text
 
     from getagrip.batch.summary import PROBABILITY_KEYS, display_name, entry_number
@@ -324,16 +305,9 @@ def _print_status_table(entries: list[LedgerEntry]) -> None:
         table.add_column(heading, justify="right" if heading.startswith(("IOU", "right", "in")) else "left")
     for entry in entries:
         iou, *right = (entry_number(entry, key) for key in ("iou", *PROBABILITY_KEYS))
-        shown = [
-            "" if iou is None else f"{iou:.2f}",
-            *("" if one is None else format_probability(one) for one in right),
-        ]
+        numbers = ["" if iou is None else f"{iou:.2f}", *("" if p is None else format_probability(p) for p in right)]
         why = "" if entry.state == "done" else entry.why
         why = why[:MAX_REASON_LENGTH] + "..." * (len(why) > MAX_REASON_LENGTH)
-        table.add_row(
-            Text(escape_unprintable(display_name(entry))),
-            STATE_LABELS[entry.state],
-            *shown,
-            Text(escape_unprintable(why)),
-        )
+        name, reason = (Text(escape_unprintable(text)) for text in (display_name(entry), why))
+        table.add_row(name, STATE_LABELS[entry.state], *numbers, reason)
     console().print(table)

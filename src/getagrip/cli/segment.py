@@ -1,7 +1,4 @@
-"""``getagrip segment``: the stable grasps of 3D-labelled clips, as a table, as files, and as pictures.
-
-``getagrip segment --from-masks``: what the object of uncut clips does, found without any 3D label of it.
-"""
+"""``getagrip segment``: stable grasps of clips with true poses; with ``--from-masks`` all states, from masks alone."""
 
 from __future__ import annotations
 
@@ -24,9 +21,8 @@ from getagrip.stable_grasps.definition import GraspOptions
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from getagrip.batch.job import Outcome, Progress
+    from getagrip.batch.job import Progress
     from getagrip.clip import Clip
-    from getagrip.clip.read import SegmentList
     from getagrip.stable_grasps.definition import Definition
     from getagrip.stable_grasps.find import CutRules
     from getagrip.stable_grasps.grasp_lists import ListedGrasp
@@ -34,7 +30,9 @@ if TYPE_CHECKING:
 
 SEGMENTS_FILE = "segments.json"
 SEGMENT_COLUMNS = ("sequence", "side", "object", "state", "start", "end", "duration", "first", "last", "margin")
-"""Columns of ``segments.csv``: frames counted from 0, both included; seconds; names of the same frames; nats."""
+"""Columns of ``segments.csv`` with ``--from-masks``: ``GRASP_COLUMNS``, the state, and the margin [nats]."""
+GRASP_COLUMNS = ("sequence", "side", "object", "start", "end", "duration", "first", "last")
+"""Columns of ``segments.csv``: indices of the first and last frame, seconds, and names of these frames."""
 MARGIN_LEGEND = (
     "margin: how much worse the best division without the segment explains the masks [nats]; small ones are uncertain"
 )
@@ -47,9 +45,9 @@ class MaskSegmentJob:
     clip: Path
     definition: Definition
     write: bool = False
-    """The segments go into ``clip.json``, too."""
+    """Also write the segments into ``clip.json``."""
     overwrite: bool = False
-    """Also in the place of others."""
+    """Replace the segments in ``clip.json``."""
 
 
 @dataclass(frozen=True)
@@ -58,18 +56,17 @@ class MaskSegmentedClip:
 
     clip: str
     rows: tuple[Json, ...]
-    """One for each segment, by ``SEGMENT_COLUMNS``."""
+    """A row for each segment, by ``SEGMENT_COLUMNS``."""
     fields: Json
-    """Fields of ``segments.json``."""
+    """Fields of ``segments.json``: those of ``clip.json``, margins, and assumptions as notes."""
     grasps: tuple[ListedGrasp, ...]
 
 
 def segment_from_masks(options: Segment) -> int:
-    """Print the segments of clips, found in their masks, and write them to files; 1 if any clip failed, else 0.
+    """Find segments in the masks of clips, print and write them; return 1 if any clip failed, else 0.
 
-    ``out`` gets the grasps as a list, all segments as ``segments.csv``, and as ``clip.json`` has them, with margins, as
-    ``segments.json``; ``json`` the list. Raises ``UsageError`` where there is nothing to do, and where two clips have
-    the same name.
+    ``out`` gets the list of grasps, and all segments as ``segments.csv`` and ``segments.json``; ``json`` the list.
+    Raises ``UsageError`` without clips, and for two clips of the same name.
     """
     from getagrip.stable_grasps import grasp_lists
 
@@ -99,35 +96,29 @@ def segment_from_masks(options: Segment) -> int:
     return 1 if failures else 0
 
 
-def find_clip_segments(job: MaskSegmentJob, progress: Progress = lambda *_: None) -> MaskSegmentedClip | Outcome:
-    """Find the segments of one clip; failures are returned, not raised."""
-    from getagrip.batch.job import failed_outcome
+def find_clip_segments(job: MaskSegmentJob, progress: Progress = lambda *_: None) -> MaskSegmentedClip:
+    """Find the segments of one clip in its masks."""
     from getagrip.clip import read, read_clip
     from getagrip.clip.read import read_header
     from getagrip.stable_grasps.find import as_listed
     from getagrip.timelines.detect.detect_segments import find_segments
     from getagrip.timelines.detect.write_segments import detected_segment_list
 
-    try:
-        clip = read_clip(job.clip)
-        if job.write:
-            read.check_segments_replaceable(read_header(job.clip), job.overwrite)
-        found = find_segments(clip, None, job.definition, progress=lambda part: progress("fits", part))
-        listed = detected_segment_list(clip, found)
-        if job.write:
-            read.write_clip_segments(read_header(job.clip), listed)
-    except Exception as error:  # one clip's trouble must not end the others
-        return failed_outcome(job.clip.name, error)
-    grasped = [
-        (clip.with_side(one.segment.side), one.segment) for one in found.segments if one.segment.state == "grasp"
-    ]
-    grasps = tuple(as_listed(by or clip, segment.first, segment.last) for by, segment in grasped)
-    return MaskSegmentedClip(clip.name, tuple(_segment_rows(clip, found)), _segment_json(listed, found), grasps)
+    clip = read_clip(job.clip)
+    if job.write:
+        read.check_segments_replaceable(read_header(job.clip), job.overwrite)
+    found = find_segments(clip, None, job.definition, progress=lambda part: progress("fits", part))
+    listed = detected_segment_list(clip, found)
+    if job.write:
+        read.write_clip_segments(read_header(job.clip), listed)
+    grasped = [one.segment for one in found.segments if one.segment.state == "grasp"]
+    grasps = tuple(as_listed(clip.with_side(one.side) or clip, one.first, one.last) for one in grasped)
+    fields = listed.fields | {"margins": [one.margin for one in found.segments], "notes": list(found.notes)}
+    return MaskSegmentedClip(clip.name, _segment_rows(clip, found), fields, grasps)
 
 
-def _segment_rows(clip: Clip, found: DetectedSegments) -> list[Json]:
-    """Return the rows of the segments, by ``SEGMENT_COLUMNS``."""
-    return [
+def _segment_rows(clip: Clip, found: DetectedSegments) -> tuple[Json, ...]:
+    return tuple(
         {
             "sequence": clip.name,
             "side": one.segment.side or "",
@@ -141,12 +132,7 @@ def _segment_rows(clip: Clip, found: DetectedSegments) -> list[Json]:
             "margin": one.margin,
         }
         for one in found.segments
-    ]
-
-
-def _segment_json(listed: SegmentList, found: DetectedSegments) -> Json:
-    """Return the segments as ``clip.json`` has them, with the margins and what was assumed."""
-    return listed.fields | {"margins": [one.margin for one in found.segments], "notes": list(found.notes)}
+    )
 
 
 def _segments_table(found: Sequence[MaskSegmentedClip]) -> Table:
@@ -167,15 +153,10 @@ def _segments_table(found: Sequence[MaskSegmentedClip]) -> Table:
 
 
 def _write_segments(found: Sequence[MaskSegmentedClip], out: Path) -> None:
-    """All segments, into the folder."""
     out.mkdir(parents=True, exist_ok=True)
     files.write_csv(out / "segments.csv", [SEGMENT_COLUMNS, *(row.values() for one in found for row in one.rows)])
     files.write_json(out / SEGMENTS_FILE, {one.clip: one.fields for one in found})
     print(out / "segments.csv", out / SEGMENTS_FILE, sep="\n")
-
-
-GRASP_COLUMNS = ("sequence", "side", "object", "start", "end", "duration", "first", "last")
-"""Columns of ``segments.csv``: frames counted from 0, both included; seconds; names of the same frames."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,10 +195,10 @@ class Segment(GraspCommand):
     """With --write: replace segments that clips have."""
 
     def run(self) -> int:
-        """Print the stable grasps of clips, and write them to files; 1 if any clip could not be read, else 0.
+        """Find the stable grasps of clips, print and write them; return 1 if any clip failed, else 0.
 
         ``out`` gets the list as ``grasps.json`` and ``segments.csv``, and a picture for each clip; ``json`` the list.
-        Raises ``UsageError`` where there is nothing to do, and where two clips have the same name.
+        Raises ``UsageError`` without clips, and for two clips of the same name.
         """
         from getagrip.stable_grasps import grasp_lists
 
@@ -264,9 +245,9 @@ class SegmentedClip:
     frames: int
     fps: float
     grasps: tuple[tuple[int, int], ...]
-    """First and last frame of each, both included."""
+    """First and last frame of each grasp."""
     listed: tuple[ListedGrasp, ...]
-    """Grasps as lists have them."""
+    """Entries of the grasps for a list."""
 
     def rows(self) -> Iterator[Json]:
         """Yield the row of ``segments.csv`` of each grasp, by ``GRASP_COLUMNS``."""
@@ -275,37 +256,29 @@ class SegmentedClip:
             yield {column: row[column] for column in GRASP_COLUMNS}
 
 
-def find_clip_grasps(job: SegmentJob, progress: Progress = lambda *_: None) -> SegmentedClip | Outcome:
-    """Find the grasps of one clip, drawn where a picture is wanted; failures are returned, not raised.
-
-    Raises nothing.
-    """
-    from getagrip.batch.job import failed_outcome
+def find_clip_grasps(job: SegmentJob, progress: Progress = lambda *_: None) -> SegmentedClip:
+    """Find the grasps of one clip, and draw them if the job names a picture."""
     from getagrip.clip import read_clip
     from getagrip.stable_grasps.find import as_listed
 
-    try:
-        clip = read_clip(job.clip)
-        iou, grasps = job.cut.of(clip, partial(progress, "contact"))
-        if job.picture is not None:
-            from getagrip.bench.figures.contact_matrix import write_matrix
+    clip = read_clip(job.clip)
+    iou, grasps = job.cut.of(clip, partial(progress, "contact"))
+    if job.picture is not None:
+        from getagrip.bench.figures.contact_matrix import write_matrix
 
-            subtitle = f"{clip.side} hand, {clip.category}  ·  {job.cut.description}"
-            write_matrix(job.picture, iou, grasps, clip.fps, job.cut.definition.tau, clip.name, subtitle)
-        listed = tuple(as_listed(clip, first, last) for first, last in grasps)
-        return SegmentedClip(clip.name, clip.side, clip.category, len(clip), clip.fps, tuple(grasps), listed)
-    except Exception as error:  # one clip's trouble must not end the others
-        return failed_outcome(job.clip.name, error)
+        subtitle = f"{clip.side} hand, {clip.category}  ·  {job.cut.description}"
+        write_matrix(job.picture, iou, grasps, clip.fps, job.cut.definition.tau, clip.name, subtitle)
+    listed = tuple(as_listed(clip, first, last) for first, last in grasps)
+    return SegmentedClip(clip.name, clip.side, clip.category, len(clip), clip.fps, tuple(grasps), listed)
 
 
 def print_missing_grasps(cut: CutRules, found: int) -> None:
-    """Report how many grasps of a list are not in the clips."""
+    """Report grasps of a list that the clips lack."""
     if cut.listed is not None and found < len(cut.listed.grasps):
         print_note(f"{found} of the {len(cut.listed.grasps)} grasps of {cut.listed.file} are in these clips")
 
 
 def _print_grasps(found: Sequence[SegmentedClip], out: Path | None) -> None:
-    """Print a table of all grasps, and their sum in a line."""
     console().print(_grasps_table(found))
     grasps = [end + 1 - start for one in found for start, end in one.grasps]
     grasped = sum(1 for one in found if one.grasps)

@@ -1,7 +1,4 @@
-"""``getagrip study``: what changes within stable grasps and outside them, as tables, as files, and as a picture.
-
-``getagrip stats``: the dataset tables, on the screen and as files.
-"""
+"""``getagrip study`` and ``stats``: changes within and outside stable grasps, and the tables of datasets."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ from getagrip.io.options import Folder, OptionalFile, OptionalFolder, one_of
 from getagrip.io.terminal import console, format_count, make_table, markdown_table, print_note
 
 if TYPE_CHECKING:
-    from getagrip.batch.job import Outcome, Progress
+    from getagrip.batch.job import Progress
     from getagrip.bench.tables import CategoryDurations, DatasetCounts
     from getagrip.stable_grasps.find import CutRules
     from getagrip.stable_grasps.study import Spread, StudiedGrasp
@@ -37,9 +34,9 @@ class Study(GraspCommand):
     """Folder of study.png, grasps.csv, curves.csv, summary.csv and the list of grasps (grasps.json)."""
 
     def run(self) -> int:
-        """Study the stable grasps of clips, and write the measurements to a folder; 1 if any clip failed, else 0.
+        """Study the stable grasps of clips, and write the measurements; return 1 if any clip failed, else 0.
 
-        Raises ``UsageError`` where there is nothing to do, and where two clips have the same name.
+        Raises ``UsageError`` without clips, and for two clips of the same name.
         """
         cut = self.cut()
 
@@ -49,9 +46,8 @@ class Study(GraspCommand):
         done, failures = for_each_clip(self.clips, job, study_one, self.workers, self.debug)
         studied = [grasp for grasps in done for grasp in grasps]
         print_missing_grasps(cut, len(studied))
-        print(
-            f"{format_count(len(studied), 'stable grasp')} in {sum(map(bool, done))} of {format_count(len(done), 'clip')}"
-        )
+        found, clips = format_count(len(studied), "stable grasp"), format_count(len(done), "clip")
+        print(f"{found} in {sum(map(bool, done))} of {clips}")
         if studied:
             _print_study(studied)
             _write_study(studied, cut, len(done), self.out)
@@ -60,22 +56,18 @@ class Study(GraspCommand):
         return 1 if failures else 0
 
 
-def study_one(job: SegmentJob, progress: Progress = lambda *_: None) -> list[StudiedGrasp] | Outcome:
-    """Measure the grasps of one clip; failures are returned, not raised."""
-    from getagrip.batch.job import failed_outcome
+def study_one(job: SegmentJob, progress: Progress = lambda *_: None) -> list[StudiedGrasp]:
+    """Measure the grasps of one clip."""
     from getagrip.clip import read_clip
     from getagrip.stable_grasps.study import study_grasp
 
-    try:
-        clip = read_clip(job.clip)
-        iou, grasps = job.cut.of(clip, partial(progress, "contact"))
-        return [study_grasp(clip, iou, first, last) for first, last in grasps]
-    except Exception as error:  # one clip's trouble must not end the others
-        return failed_outcome(job.clip.name, error)
+    clip = read_clip(job.clip)
+    iou, grasps = job.cut.of(clip, partial(progress, "contact"))
+    return [study_grasp(clip, iou, first, last) for first, last in grasps]
 
 
 def by_category(studied: Sequence[StudiedGrasp]) -> Iterator[tuple[str, list[StudiedGrasp]]]:
-    """Yield the grasps of each category in alphabetical order, then all of them where there are several categories."""
+    """Yield the grasps of each category in alphabetical order and, for several categories, all grasps."""
     categories = sorted({one.object for one in studied})
     for category in categories:
         yield category, [one for one in studied if one.object == category]
@@ -84,30 +76,27 @@ def by_category(studied: Sequence[StudiedGrasp]) -> Iterator[tuple[str, list[Stu
 
 
 def _measure_spreads(studied: Sequence[StudiedGrasp], where: str) -> dict[str, Spread]:
-    """Each measure over grasps, ``inside`` them or ``outside``."""
+    """Compute mean and spread of each measure, ``inside`` or ``outside`` of grasps."""
     from getagrip.stable_grasps.study import STUDY_MEASURES, Spread
 
     return {name: Spread.of([getattr(one, where)[name] for one in studied]) for name in STUDY_MEASURES}
 
 
 def _print_study(studied: Sequence[StudiedGrasp]) -> None:
-    """Two tables: the approximations by category, and every measure inside and outside."""
+    """Print the approximations by category, and all measures inside and outside of grasps."""
     from rich.text import Text
 
     from getagrip.stable_grasps.study import STUDY_MEASURES
 
     table = make_table(title="error of the approximation, within grasps", title_style="")
     table.add_column("object", overflow="fold")
-    headings = ("grasps", "static", "1-DoF", "full pose, axis anywhere", "axis at the hand")
-    for heading in headings:
+    for heading in ("grasps", "static", "1-DoF", "full pose, axis anywhere", "axis at the hand"):
         table.add_column(heading, justify="right")
     for category, grasps in by_category(studied):
         if category == ALL_CATEGORIES_LABEL:
             table.add_section()
-        means = {
-            name: spread.mean * STUDY_MEASURES[name].factor
-            for name, spread in _measure_spreads(grasps, "inside").items()
-        }
+        spreads = _measure_spreads(grasps, "inside").items()
+        means = {name: spread.mean * STUDY_MEASURES[name].factor for name, spread in spreads}
         cells = [f"{means['static_rotation']:.1f}°", f"{means['one_dof_rotation']:.1f}°"]
         cells += [f"{means[f'{fit}_rotation']:.1f}°, {means[f'{fit}_place']:.1f} mm" for fit in ("free", "at_hand")]
         table.add_row(Text(category), str(len(grasps)), *cells)  # no markup: names may hold brackets
@@ -118,15 +107,13 @@ def _print_study(studied: Sequence[StudiedGrasp]) -> None:
         table.add_column(heading, justify="left" if heading in ("measure", "unit") else "right")
     inside, outside = _measure_spreads(studied, "inside"), _measure_spreads(studied, "outside")
     for name, measure in STUDY_MEASURES.items():
-        table.add_row(
-            measure.label, _format_spread(inside[name], name), _format_spread(outside[name], name), measure.unit
-        )
+        both = (_format_spread(spreads[name], name) for spreads in (inside, outside))
+        table.add_row(measure.label, *both, measure.unit)
     console().print(table)
     print(f"with frames outside: {outside['static_rotation'].grasps} of {format_count(len(studied), 'grasp')}")
 
 
 def _format_spread(spread: Spread, name: str) -> str:
-    """Mean and spread as people read them."""
     from getagrip.stable_grasps.study import STUDY_MEASURES
 
     factor, digits = STUDY_MEASURES[name].factor, 1 if STUDY_MEASURES[name].unit else 2
@@ -134,7 +121,6 @@ def _format_spread(spread: Spread, name: str) -> str:
 
 
 def _write_study(studied: Sequence[StudiedGrasp], cut: CutRules, clips: int, out: Path) -> None:
-    """Write the files of a study."""
     from getagrip.bench.figures.study_figure import write_study
     from getagrip.stable_grasps import grasp_lists
     from getagrip.stable_grasps.study import mean_curves
@@ -149,16 +135,12 @@ def _write_study(studied: Sequence[StudiedGrasp], cut: CutRules, clips: int, out
 
 
 def _grasp_record(one: StudiedGrasp) -> dict[str, object]:
-    """Return a grasp on one line, in SI units."""
+    """Return a grasp's row of ``grasps.csv``, in SI units."""
     axis = {f"axis_{name}_{x}": v for name in ("point", "direction") for x, v in zip("xyz", getattr(one.hinge, name))}  # noqa: B905
+    fields = ("side", "object", "start", "end", "duration", "turned")
     return {
         "sequence": one.clip,
-        "side": one.side,
-        "object": one.object,
-        "start": one.start,
-        "end": one.end,
-        "duration": one.duration,
-        "turned": one.turned,
+        **{name: getattr(one, name) for name in fields},
         **{f"inside_{name}": value for name, value in one.inside.items()},
         **{f"outside_{name}": value for name, value in one.outside.items()},
         **axis,
@@ -166,7 +148,7 @@ def _grasp_record(one: StudiedGrasp) -> dict[str, object]:
 
 
 def _curve_records(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, object]]:
-    """Yield the mean curves, a line for each normalised time and measure, in SI units."""
+    """Yield the mean curves, a row for each measure and normalised time, in SI units."""
     from getagrip.stable_grasps.study import NORMALISED_TIMES, mean_curves
 
     for name, spreads in mean_curves(studied).items():
@@ -175,7 +157,7 @@ def _curve_records(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, object
 
 
 def _spread_records(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, object]]:
-    """Every measure inside and outside, by category, in SI units."""
+    """Yield all measures inside and outside, by category, in SI units."""
     for category, grasps in by_category(studied):
         for where in ("inside", "outside"):
             for name, spread in _measure_spreads(grasps, where).items():
@@ -183,7 +165,6 @@ def _spread_records(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, objec
 
 
 def _study_json(studied: Sequence[StudiedGrasp], cut: CutRules) -> dict[str, object]:
-    """Everything, for ``--json``."""
     return {
         "cut": cut.record(),
         "units": "SI: m, rad, s; measures without unit are shares",
@@ -225,9 +206,9 @@ class Stats(Command):
     """Write every number here, unrounded."""
 
     def run(self) -> int:
-        """Print how long the grasps of a dataset last and what it has, and write it to files; returns 0.
+        """Print durations of grasps and counts of a dataset, and write them to files; return 0.
 
-        Raises ``UsageError`` for calls that fit neither EPIC-Grasps nor a list, and ``InputError``.
+        Raises ``UsageError`` for options that fit neither EPIC-Grasps nor a list, and ``InputError``.
         """
         from getagrip.bench import tables
         from getagrip.readers.datasets.epic.epic_tables import chosen_errata, read_grasps
@@ -268,7 +249,6 @@ class Stats(Command):
 
 
 def _stats_cells(row: CategoryDurations) -> list[str]:
-    """Return a row as text."""
     seconds = [f"{value:.2f}" for value in (row.mean, row.std, row.longest)]
     return [row.category, *seconds, str(row.clips), str(row.left), str(row.right)]
 
@@ -289,13 +269,10 @@ def _print_stats(rows: Sequence[CategoryDurations]) -> None:
 
 
 def _write_stats(rows: Sequence[CategoryDurations], counted: DatasetCounts, out: Path) -> None:
-    """Write the table as Markdown, and unrounded as CSV."""
+    """Write the tables as Markdown and, unrounded, as CSV."""
     out.mkdir(parents=True, exist_ok=True)
     figures = {name: "-" if number is None else f"{number}" for name, number in asdict(counted).items()}
-    grids: list[list[Sequence[str]]] = [
-        [STATS_HEADINGS, *map(_stats_cells, rows)],
-        [list(figures), list(figures.values())],
-    ]
+    grids = [STATS_HEADINGS, *map(_stats_cells, rows)], [list(figures), list(figures.values())]
     tables = ["\n".join(markdown_table(grid)) for grid in grids]
     files.write_text(out / "stats.md", "\n\n".join(tables) + "\n")
     files.write_csv(out / "counts.csv", [asdict(counted), asdict(counted).values()])

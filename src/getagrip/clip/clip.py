@@ -1,11 +1,4 @@
-"""A clip: one stable grasp or a timeline, with its hands, masks, camera and object.
-
-The ground truth of a clip, and the joint of an object with two parts.
-
-Hands in every frame of a clip: its own, and the other one where that is known, too.
-
-Which frames of a clip are used.
-"""
+"""A clip: one stable grasp or a timeline, with its hands, masks, camera, object and ground truth."""
 
 from __future__ import annotations
 
@@ -31,13 +24,13 @@ from getagrip.provenance import Provenance
 
 @dataclass(frozen=True, eq=False)
 class Joint(ArrayData):
-    """The joint of an articulated object: one part of it rotates about a line, the other has the object's pose.
+    """The joint of an articulated object: one part rotates about a line, the other has the object's pose.
 
     Attributes:
-        moves: (V,) vertices of the mesh that belong to the part that rotates.
+        moves: (V,) vertices of the rotating part.
         point: (3,) a point of the line, in the object frame [m].
-        direction: (3,) its direction, of length 1; angles count about it by the right-hand rule.
-        angle: the articulation angle at which the mesh is [rad].
+        direction: (3,) direction of the line, of length 1; angles count about it by the right-hand rule.
+        angle: the articulation angle of the mesh [rad].
     """
 
     moves: Bool[ndarray, "V"]
@@ -60,12 +53,10 @@ class Truth(ArrayData):
     Attributes:
         T_cam_obj: (T, 4, 4) true pose of the object, object frame to camera frame [m].
         scale: true factor by which the mesh is scaled before it is posed.
-        T_cam_hand: (T, 4, 4) true pose of the hand, hand frame to camera frame [m]; that of the clip if no other is
-            known.
-        hand_vertices: (T, V, 3) true vertices of the hand in the hand frame [m]; those of the clip if no others are
-            known.
-        articulation: (T,) angle of the object's joint [rad]; None for objects without one.
-        joint: the joint; None where there is none, or where only the angle is known.
+        T_cam_hand: (T, 4, 4) true pose of the hand, hand frame to camera frame [m]; the clip's if no other is known.
+        hand_vertices: (T, V, 3) true vertices of the hand in the hand frame [m]; the clip's if no others are known.
+        articulation: (T,) angle of the object's joint [rad]; None for objects without a joint.
+        joint: the joint; None for objects without one, or if only the angle is known.
     """
 
     T_cam_obj: Float[ndarray, "T 4 4"]
@@ -89,8 +80,8 @@ FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 class HandTrack(ArrayData):
     """A hand in every frame (``hand.npz``).
 
-    The hand frame is any frame that moves with the hand and has its origin there; that of ``getagrip.hands`` is the
-    frame of MANO's template. Vertex ids are counted from 0.
+    The hand frame is any frame that moves with the hand and has its origin in it; ``getagrip.hands`` uses the frame of
+    MANO's template. Vertex ids are counted from 0.
 
     Attributes:
         vertices: (T, V, 3) vertices in the hand frame [m].
@@ -99,10 +90,10 @@ class HandTrack(ArrayData):
         regions: contact regions by name, (n,) vertex ids each: the five ``FINGERS`` (the pads of the fingertips), then
             any ``palm_*``.
         joints: (T, 21, 3) joints in the hand frame [m]: wrist, then thumb, index, middle, ring and pinky, each from the
-            palm to the tip; None where they are not known.
-        joints_2d: (T, 21, 2) the joints as detected or clicked in the images [px]; None if unknown. They are evidence:
-            they stay when the hand is moved.
-        joints_2d_confidence: (T, 21) confidence of each of them, from 0 (not detected) to 1.
+            palm to the tip; None if unknown.
+        joints_2d: (T, 21, 2) joints detected or clicked in the images [px]; None if unknown. They are evidence, and do
+            not change when the hand moves.
+        joints_2d_confidence: (T, 21) confidence of each joint in ``joints_2d``, from 0 (not detected) to 1.
     """
 
     vertices: Float[ndarray, "T V 3"]
@@ -128,19 +119,18 @@ class HandTrack(ArrayData):
             check_ids(where, regions[name], count)
         object.__setattr__(self, "regions", regions)
         missing = [finger for finger in FINGERS if finger not in self.regions]
-        if count and missing:  # without vertices it stands for hands that are still to come
+        if count and missing:  # without vertices: a placeholder for hands to come
             of_mano = "getagrip.hands.mano.load('MANO_RIGHT.pkl', 'right').model.regions has MANO's"
             needed = f"vertex ids of the pad of each fingertip; {of_mano}"
             raise UsageError(f"missing {', '.join(missing)} in HandTrack.regions: {needed}")
 
     def scaled(self, factor: float) -> HandTrack:
-        """Return the hand in another size, about the origin of its frame."""
-        return replace(
-            self, vertices=factor * self.vertices, joints=None if self.joints is None else factor * self.joints
-        )
+        """Return the hand scaled about the origin of its frame."""
+        joints = None if self.joints is None else factor * self.joints
+        return replace(self, vertices=factor * self.vertices, joints=joints)
 
     def take(self, index: Int[ndarray, "n"]) -> HandTrack:
-        """Return the hand in some of the frames, in the given order."""
+        """Return the hand in some frames, in the given order."""
         optional = (self.joints, self.joints_2d, self.joints_2d_confidence)
         joints, seen, confidence = (None if each is None else each[index] for each in optional)
         return replace(
@@ -151,11 +141,11 @@ class HandTrack(ArrayData):
 
 @dataclass(frozen=True, eq=False)
 class OtherHand(ArrayData):
-    """The hand of the other side, in those frames of a clip in which it is known (``other_hand.npz``).
+    """The hand of the other side (``other_hand.npz``).
 
     Attributes:
-        track: the hand in every frame; where it is not known, as it is in the nearest frame in which it is.
-        known: (T,) frames in which it is.
+        track: the hand in every frame; in frames with an unknown hand, that of the nearest frame with a known one.
+        known: (T,) frames with a known hand.
     """
 
     track: HandTrack
@@ -169,12 +159,12 @@ class OtherHand(ArrayData):
 
     @staticmethod
     def at(hand: HandTrack, rows: Int[ndarray, "n"], frames: int) -> OtherHand:
-        """Make a hand that is known in the frames ``rows``, at least one, of a clip of ``frames`` frames."""
+        """Make a hand known in the frames ``rows``, at least one, of a clip of ``frames`` frames."""
         near = np.round(np.interp(np.arange(frames), rows, np.arange(len(rows)))).astype(int)
         return OtherHand(hand.take(near), np.isin(np.arange(frames), rows))
 
     def take(self, index: Int[ndarray, "n"]) -> OtherHand:
-        """Return the hand in some of the frames, in the given order."""
+        """Return the hand in some frames, in the given order."""
         return OtherHand(self.track.take(index), self.known[index])
 
 
@@ -184,21 +174,20 @@ class PerFrame(Protocol):
     def __len__(self) -> int: ...
 
     def take(self, index: Int[ndarray, "n"]) -> Self:
-        """Return the data of some of the frames, in the given order."""
+        """Return the data of some frames, in the given order."""
         ...
 
 
 class FrameMasks(NamedTuple):
-    """The masks of one frame, as ``Masks`` has them of all."""
+    """The masks of one frame; see ``Masks``."""
 
     object: Bool[ndarray, "H W"]
     ignore: Bool[ndarray, "H W"]
     hand: Bool[ndarray, "H W"] | None = None
-    """Visible pixels of the hand that holds the object; None where they are not known apart."""
 
     @staticmethod
     def unknown(size: tuple[int, int]) -> FrameMasks:
-        """Make the masks of a frame that has none; ``size``: width and height [px]."""
+        """Make the masks of a frame with an unknown mask; ``size``: width and height [px]."""
         nothing = np.zeros(size[::-1], dtype=bool)
         return FrameMasks(nothing, ~nothing)
 
@@ -208,12 +197,12 @@ class Masks(ArrayData):
     """Masks of the object in every frame, at the size of the images.
 
     Attributes:
-        object: (T, H, W) True where the object is visible. A frame with an unknown mask has no such pixel, and all of
-            its pixels are ignored.
-        ignore: (T, H, W) True where a pixel says nothing about the object: where the hand or another occluder is in
-            front of it. If no pixel of any frame is set, as by default, the clip's hand is rendered as the occluder.
-        hand: (T, H, W) True where the hand that holds the object is visible; None if unknown. A frame without such
-            pixels says nothing about the hand.
+        object: (T, H, W) visible pixels of the object. A frame with an unknown mask has none, and all of its pixels are
+            ignored.
+        ignore: (T, H, W) pixels without information on the object, such as those of a hand or another occluder in front
+            of it. If none is set in any frame, the default, the clip's hand is rendered as the occluder.
+        hand: (T, H, W) visible pixels of the grasping hand; None if unknown. A frame without any has no information on
+            the hand.
     """
 
     object: Bool[ndarray, "T H W"]
@@ -227,7 +216,7 @@ class Masks(ArrayData):
 
     @staticmethod
     def of(frames: Iterable[FrameMasks]) -> Masks:
-        """Stack the masks of frames, those of the hand where all have them."""
+        """Stack the masks of frames; hand masks only if all frames have them."""
         objects, ignored, hands = zip(*frames, strict=True)
         known = [hand for hand in hands if hand is not None]
         return Masks(np.stack(objects), np.stack(ignored), np.stack(known) if len(known) == len(hands) else None)
@@ -244,18 +233,18 @@ class Masks(ArrayData):
 
     @property
     def observed(self) -> Bool[ndarray, "T"]:
-        """Frames in which a pixel of the object is not ignored."""
+        """True for frames with a pixel of the object that is not ignored."""
         return np.array([(o & ~i).any() for o, i in zip(self.object, self.ignore, strict=True)], dtype=bool)
 
     @property
     def known(self) -> Bool[ndarray, "T"]:
-        """Frames whose mask is known: the others show no object, and all of their pixels are ignored."""
+        """True for frames with a known mask: an object's pixel, or one that is not ignored."""
         shown = np.asarray(self.object.any(axis=(1, 2)))
         return np.array([one or not i.all() for one, i in zip(shown, self.ignore, strict=True)], dtype=bool)
 
     @property
     def say_what_hides(self) -> bool:
-        """True if pixels are ignored in a frame whose mask is known."""
+        """True if pixels are ignored in a frame with a known mask."""
         shown = np.asarray(self.object.any(axis=(1, 2)))
         return any(i.any() and (one or not i.all()) for one, i in zip(shown, self.ignore, strict=True))
 
@@ -263,19 +252,18 @@ class Masks(ArrayData):
         return len(self.object)
 
     def take(self, index: Int[ndarray, "n"]) -> Masks:
-        """Return the masks of some of the frames, in the given order."""
+        """Return the masks of some frames, in the given order."""
         return Masks(self.object[index], self.ignore[index], None if self.hand is None else self.hand[index])
 
 
 @dataclass(frozen=True, eq=False)
 class World(ArrayData):
-    """The camera's path in a frame that stands still.
+    """The camera's trajectory in a static world frame.
 
     Attributes:
         T_world_cam: (T, 4, 4) pose of the camera, camera frame to world frame [m].
-        up: (3,) direction away from the ground in the world frame, of length 1; None where it is not known.
-        support: height along ``up`` of the plane on which the object lies in static segments [m]; None where it is not
-            known.
+        up: (3,) direction away from the ground in the world frame, of length 1; None if unknown.
+        support: height along ``up`` of the plane on which the object lies in static segments [m]; None if unknown.
     """
 
     T_world_cam: Float[ndarray, "T 4 4"]
@@ -288,7 +276,7 @@ class World(ArrayData):
             raise UsageError("World.support cannot be used without World.up, along which it is")
 
     def take(self, index: Int[ndarray, "n"]) -> World:
-        """Return the world at some of the frames, in the given order."""
+        """Return the trajectory at some frames, in the given order."""
         return replace(self, T_world_cam=self.T_world_cam[index])
 
 
@@ -306,24 +294,23 @@ class Clip(ArrayData):
         size: width and height of the images [px].
         side: ``left`` or ``right`` hand.
         scale: ``known`` if the mesh has the object's true size, ``free`` if the size is to be estimated.
-        frames: names of the T frames, the same as those of mask and image files; by default numbers from 000000 on.
+        frames: names of the T frames, and of their mask and image files; by default numbers from 000000 on.
         name: name of the clip; results are written to a folder of this name.
         category: category of the object, such as "mug".
         fps: frames per second of the footage, for durations.
         times: (T,) time of each frame [s], rising; None if the frames follow each other at ``fps`` (``time``).
-        world: poses of the camera in the world; None if they are unknown.
-        segments: the states of a timeline (lying still, grasped, ...), in order; empty for one stable grasp.
+        world: poses of the camera in the world; None if unknown.
+        segments: the states of a timeline (static, grasp, ...), in order; empty for one stable grasp.
         other_hand: for a timeline, the hand of the other side, which may hold the object as well; None if unknown.
-        truth: the ground truth; None if there is none.
+        truth: the ground truth; None if unknown.
         folder: folder of the clip, with its masks and images; None for a clip that is only in memory.
-        provenance: where the data comes from, by topic. Results repeat what is assumed.
-        evidence: data of modalities that is in memory, by the modality's name. A modality that is not named is read
-            from the folder when it is needed; one that is None is not used, even if the folder has its files.
-        size_beside_hand: True within a fit in which the object's own size is known, but free beside a hand whose size
+        provenance: source of the data, by topic. Results repeat the assumptions.
+        evidence: data of modalities in memory, by the modality's name. A modality that is not named is read from the
+            folder when needed; one that is None is not used, even if the folder has its files.
+        size_beside_hand: True within a fit with an object of known size that is free relative to a hand, whose size
             follows from it (``fitting/hand_size``).
-        hand_scale: factor by which the hand was scaled within a fit, to be where a sensor's depth shows it.
-        left_out: names of frames that were removed because the object is not visible in them or their mask is unknown
-            (``observed_frames``).
+        hand_scale: factor by which the hand was scaled within a fit, to match a sensor's depth.
+        left_out: names of removed frames, with an invisible object or an unknown mask (``observed_frames``).
     """
 
     hand: HandTrack
@@ -374,10 +361,7 @@ class Clip(ArrayData):
 
     @property
     def time(self) -> Float[ndarray, "T"]:
-        """When each frame was taken [s]: ``times``, or at ``fps``, from 0 on.
-
-        Frames whose names are rising numbers are counted by these: some may have been left out.
-        """
+        """Time of each frame [s]: ``times``, or from 0 at ``fps``, by the frames' names if they are rising numbers."""
         if self.times is not None:
             return self.times
         numbers = np.arange(len(self))
@@ -388,25 +372,22 @@ class Clip(ArrayData):
 
     @property
     def origin(self) -> Path:
-        """Name of the clip in errors: its folder or, where it has none, its name."""
+        """The clip in errors: its folder or, without one, its name."""
         return self.folder or Path(self.name)
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def image_file(self, n: int) -> Path | None:
-        """Return the image of a frame, where the clip's folder has one.
-
-        Raises ``InputError`` for a link that leads out.
-        """
+        """Return the image file of a frame; None without one. Raises ``InputError`` for a link that leads out."""
         if self.folder is None:
             return None
         names = (f"frames/{self.frames[n]}{suffix}" for suffix in (".jpg", ".png"))
-        there = next((name for name in names if (self.folder / name).is_file()), None)
-        return None if there is None else inside(self.folder, there, "", "an image")
+        found = next((name for name in names if (self.folder / name).is_file()), None)
+        return None if found is None else inside(self.folder, found, "", "an image")
 
     def index_of(self, frames: Sequence[str]) -> Int[ndarray, "n"]:
-        """Return the indices of the named frames. Raises ``InputError`` for a name that is none of its frames."""
+        """Return the indices of frames by name. Raises ``InputError`` for an unknown name."""
         place = {name: n for n, name in enumerate(self.frames)}
         unknown = next((name for name in frames if name not in place), None)
         if unknown is not None:
@@ -420,7 +401,7 @@ class Clip(ArrayData):
         T_cam_other: Float[ndarray, "T 4 4"] | None = None,
         scale: float = 1.0,
     ) -> Clip:
-        """Return the clip with its hands at other poses, such as those of a result; None leaves a hand in place.
+        """Return the clip with its hands at other poses, such as a result's; None keeps a hand's pose.
 
         ``scale`` is a factor on the size of the clip's own hand, about the origin of its frame.
         """
@@ -433,13 +414,13 @@ class Clip(ArrayData):
 
     @property
     def other_side(self) -> Side:
-        """The side of the hand that is not the clip's own."""
+        """The side opposite to the clip's own hand."""
         return "left" if self.side == "right" else "right"
 
     def with_side(self, side: Side | None) -> Clip | None:
-        """Return the clip with the hand of a side for its own; None where that hand is not known.
+        """Return the clip with the hand of a side as its own; None if that hand is unknown.
 
-        Of the other side it has no ground truth, and in some of its frames the hand may not be known (``hand_known``).
+        With the other side's hand it has no ground truth, and some frames may lack the hand (``hand_known``).
         """
         if side == self.side:
             return self
@@ -449,21 +430,21 @@ class Clip(ArrayData):
         return replace(self, hand=self.other_hand.track, side=side, other_hand=other, truth=None)
 
     def hand_known(self, side: Side | None) -> Bool[ndarray, "T"]:
-        """Return the frames in which the hand of a side is known."""
+        """Return True for frames with a known hand of a side."""
         if side == self.side:
             return np.ones(len(self), dtype=bool)
         return np.zeros(len(self), dtype=bool) if side is None or self.other_hand is None else self.other_hand.known
 
     def light(self) -> Clip:
-        """Return the clip with a mesh that is small enough to fit, measure and draw (``Mesh.light``)."""
+        """Return the clip with a mesh of limited size (``Mesh.light``)."""
         return self if self.mesh.light is self.mesh else replace(self, mesh=self.mesh.light)
 
     def warped(self, warp: Warp | None) -> Clip:
-        """Return the clip with its mesh deformed, as a result has it; None: as it is."""
+        """Return the clip with its mesh deformed by a warp, if any."""
         return self if warp is None else replace(self, mesh=warp(self.mesh))
 
     def take(self, index: Int[ndarray, "n"]) -> Clip:
-        """Return the clip at some of its frames, in the given order."""
+        """Return the clip at some frames, in the given order."""
         truth = self.truth and replace(
             self.truth,
             T_cam_obj=self.truth.T_cam_obj[index],
@@ -483,5 +464,5 @@ class Clip(ArrayData):
 
 
 def frame_indices(frames: int, wanted: int) -> Int[ndarray, "n"]:
-    """Return the indices of ``wanted`` frames, linearly spread, the ends included; all of them if there are fewer."""
+    """Return the indices of ``wanted`` evenly spread frames, both ends included; all if there are fewer."""
     return np.unique(np.round(np.linspace(0, frames - 1, min(wanted, frames))).astype(int))

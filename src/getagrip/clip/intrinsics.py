@@ -1,7 +1,7 @@
-"""The camera of a user's own images, as far as the user knows it.
+"""Intrinsics of a user's own images, from the options of ``Lens``, and warnings about implausible ones.
 
-Calibrations are often of another size, crop or orientation than images. A lens whose middle is far from the image's,
-whose pixels are not square or whose field of view no usual lens has is possible, so these are warnings, not errors.
+Calibrations are often made at another size, crop or orientation than the images'. A principal point far from the
+middle, non-square pixels and an extreme field of view are possible, so that they cause warnings, not errors.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from numpy import ndarray
 
 from getagrip.clip.read_arrays import check_intrinsics
 from getagrip.errors import InputError, UsageError
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.provenance import Source, assumed, measured
 
 MAX_PRINCIPAL_POINT_OFFSET = 0.1
-"""Largest usual distance of the principal point from the middle, in sides of the image."""
+"""Maximum plausible distance of the principal point from the middle, as a fraction of the image's sides."""
 MAX_FOCAL_RATIO = 1.1
-"""Largest usual ratio of the two focal lengths."""
+"""Maximum plausible ratio of the two focal lengths."""
 MIN_FOV_DEG, MAX_FOV_DEG = 6.0, 118.0
-"""Usual fields of view along the longer side [degrees]."""
+"""Plausible fields of view along the longer side [degrees]."""
 FILM_WIDTH_MM = 36.0
-"""Width of the film that focal lengths of cameras are stated for [mm]."""
+"""Width of 35-mm film, to which equivalent focal lengths refer [mm]."""
 
 
 def compute_intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
@@ -43,9 +43,8 @@ def compute_intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray
         cx, cy = width / 2.0, height / 2.0
         source = measured("the focal length as given, the principal point in the middle")
         if lens.focal is None:
-            source = assumed(
-                "a guess: the focal length is the longer side of the image, the principal point in the middle"
-            )
+            middle = "the principal point in the middle"
+            source = assumed(f"a guess: the focal length is the longer side of the image, {middle}")
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     if lens.focal is not None and lens.focal > 0.0 and field_of_view(K[None], size) > MAX_FOV_DEG:
         raise UsageError(f"--focal must be in pixels (got {lens.focal:g}); {focal_advice(lens.focal, size)}")
@@ -58,28 +57,25 @@ def compute_intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray
 
 
 def principal_point_offset(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> float:
-    """Measure the distance of the principal point from the middle of images of a size [px], in sides.
-
-    The worst frame's.
-    """
+    """Measure the worst frame's distance of the principal point from the middle, as a fraction of the image's sides."""
     return float(np.abs(K[:, :2, 2] / size - 0.5).max())
 
 
 def focal_ratio(K: Float[ndarray, "T 3 3"]) -> float:
-    """Return the ratio of the two focal lengths; the worst frame's."""
+    """Return the worst frame's ratio of the two focal lengths."""
     ratio = K[:, 0, 0] / K[:, 1, 1]
     return float(np.maximum(ratio, 1.0 / ratio).max())
 
 
 def field_of_view(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> float:
-    """Measure the angle that the longer side of the image spans [degrees]; the most unusual frame's."""
+    """Measure the field of view along the longer side of the image [degrees], in the least plausible frame."""
     longer = int(np.argmax(size))
     angles = np.degrees(2.0 * np.arctan(0.5 * size[longer] / K[:, longer, longer]))
     return float(angles[np.argmax(np.abs(angles - 0.5 * (MIN_FOV_DEG + MAX_FOV_DEG)))])
 
 
 def camera_warning(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> str:
-    """Say why matrices seem to belong to other images than those of a size [px]; empty where they fit."""
+    """Say why intrinsics seem to belong to images of another size [px]; empty if they are plausible."""
     image = f"the {size[0]} x {size[1]} images"
     if principal_point_offset(K, size) > MAX_PRINCIPAL_POINT_OFFSET:
         u, v = K[int(np.argmax(np.abs(K[:, :2, 2] / size - 0.5).max(axis=1))), :2, 2]
@@ -97,7 +93,7 @@ def camera_warning(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> str:
 
 
 def focal_advice(focal: float, size: tuple[int, int]) -> str:
-    """Say what to do about a focal length that is too short or too long for images of a size [px]."""
+    """Give advice on a focal length too short or too long for images of a size [px]."""
     if focal > max(size):
         return "the focal length is of larger images, or an estimator's own and not the camera's"
     pixels = focal / FILM_WIDTH_MM * max(size)

@@ -1,7 +1,4 @@
-"""Masks in a clip's folder and in a clip: read at the frames that are asked for, no more in memory at once.
-
-Hand occlusion where no mask shows it: the input hands, drawn over the object.
-"""
+"""Masks of a clip: read from its folder one frame at a time, checked, written, and completed by rendered hands."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ from getagrip.io.array_data import ArrayData
 from getagrip.io.images import PackedMasks, read_png, write_mask
 
 OBJECT_MASKS_KEY, HAND_MASKS_KEY = "object-masks", "hand-masks"
-"""Keys of ``Clip.evidence``: the names of the two modalities that masks are."""
+"""Keys of ``Clip.evidence``: the names of the two modalities of masks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +27,8 @@ class VisibleHand(ArrayData):
     """Masks of the hand in every frame.
 
     Attributes:
-        pixels: (T, H, W) visible pixels of the hand that holds the object, and of no other. A frame without any says
-            nothing about the hand.
+        pixels: (T, H, W) visible pixels of the grasping hand, and of no other. A frame without any has no information
+            on the hand.
     """
 
     pixels: Bool[ndarray, "T H W"]
@@ -40,19 +37,19 @@ class VisibleHand(ArrayData):
         return len(self.pixels)
 
     def take(self, index: Int[ndarray, "n"]) -> VisibleHand:
-        """Return the masks of some of the frames, in the given order."""
+        """Return the masks of some frames, in the given order."""
         return VisibleHand(self.pixels[index])
 
 
 def with_masks(clip: Clip, masks: Masks | None) -> Clip:
-    """Return the clip with masks of its frames in memory; None: without any, whatever its folder has."""
+    """Return the clip with masks in memory; None: without masks, even if its folder has some."""
     hand = None if masks is None or masks.hand is None else VisibleHand(masks.hand)
     alone = None if masks is None else replace(masks, hand=None)
     return replace(clip, evidence={**clip.evidence, OBJECT_MASKS_KEY: alone, HAND_MASKS_KEY: hand})
 
 
 def masks_in_memory(clip: Clip) -> Masks | None:
-    """Return the masks that a clip has in memory."""
+    """Return the masks of a clip in memory; None without any."""
     masks, hand = clip.evidence.get(OBJECT_MASKS_KEY), clip.evidence.get(HAND_MASKS_KEY)
     assert masks is None or isinstance(masks, Masks)
     assert hand is None or isinstance(hand, VisibleHand)
@@ -81,12 +78,12 @@ def read_masks(clip: Clip) -> Masks:
 
 
 def find_masks(clip: Clip) -> Masks | None:
-    """Read the masks of a clip with ``read_masks``; None where there is no folder of them."""
+    """Read the masks of a clip with ``read_masks``; None without a folder of masks."""
     return read_masks(clip) if masks_in_memory(clip) is not None or _has_masks(clip) else None
 
 
 def read_available_masks(clip: Clip, with_hand: bool = False) -> Masks | None:
-    """Read masks of some frames, none of which need show the object; those of the hand if wanted."""
+    """Read the masks of a clip's frames, which may all be empty, optionally with hand masks; None without a folder."""
     if not _has_masks(clip):
         return None
     masks = Masks.packed(_iterate_frame_masks(clip), clip.size)
@@ -94,7 +91,7 @@ def read_available_masks(clip: Clip, with_hand: bool = False) -> Masks | None:
 
 
 def read_object_masks(clip: Clip) -> Masks:
-    """Read the masks of a clip's frames but those of the hand; raises what ``read_masks`` raises."""
+    """Read the masks of a clip's frames without hand masks. Raises as ``read_masks`` does."""
     _clip_folder(clip)
     masks = Masks.packed(_iterate_frame_masks(clip), clip.size)
     _check_nonempty_masks(clip, bool(masks.object.any()))
@@ -102,25 +99,23 @@ def read_object_masks(clip: Clip) -> Masks:
 
 
 def read_hand_masks(clip: Clip) -> VisibleHand | None:
-    """Read the masks of the hand in a clip's frames; None where its folder has none."""
+    """Read the hand masks of a clip's frames; None if its folder has none."""
     folder = _clip_folder(clip)
     if not (folder / "masks" / "hand").exists():
         return None
-    nothing = np.zeros(clip.size[::-1], dtype=bool)
-    each = (
-        _read_mask_png(folder, "hand", name, clip.size) if has_mask(folder, name) else nothing for name in clip.frames
-    )
-    return VisibleHand(PackedMasks.of(each, clip.size).as_array())
+    nothing, size = np.zeros(clip.size[::-1], dtype=bool), clip.size
+    each = (_read_mask_png(folder, "hand", name, size) if has_mask(folder, name) else nothing for name in clip.frames)
+    return VisibleHand(PackedMasks.of(each, size).as_array())
 
 
 def add_hand_masks(masks: Masks, clip: Clip) -> Masks:
-    """Add the masks of the hand, where the clip's folder has them, to masks of its frames."""
+    """Add the hand masks of a clip's folder, if any, to its masks."""
     hand = read_hand_masks(clip)
     return masks if hand is None else replace(masks, hand=hand.pixels)
 
 
 def read_observed(clip: Clip) -> Bool[ndarray, "T"]:
-    """Compute ``read_masks(clip).observed`` with one frame at a time in memory."""
+    """Compute ``read_masks(clip).observed``, with one frame in memory at a time."""
     any_object, observed = False, np.zeros(len(clip), dtype=bool)
     for n, (mask, ignore, _) in enumerate(_iterate_frame_masks(clip)):
         any_object |= bool(mask.any())
@@ -142,27 +137,26 @@ def _iterate_frame_masks(clip: Clip) -> Iterator[FrameMasks]:
 
 
 def has_mask(folder: Path, frame: str) -> bool:
-    """Return whether there is a file, or a link, of the object's mask in a frame of the clip in a folder."""
+    """Return whether a clip's folder has a file or link of the object's mask in a frame."""
     return os.path.lexists(folder / "masks" / "object" / f"{frame}.png")
 
 
 def mask_files(folder: Path, kind: str, frames: Iterable[str]) -> list[str]:
-    """Name the masks of a kind (``object``, ``ignore``, ``hand``) in a clip's folder, for frames that have some."""
+    """Name the mask files of a kind (``object``, ``ignore``, ``hand``) in a clip's folder, for frames with masks."""
     if not (folder / "masks" / kind).exists():
         return []
     return [f"masks/{kind}/{frame}.png" for frame in frames if has_mask(folder, frame)]
 
 
 def write_masks(masks: Bool[ndarray, "T H W"], known: Bool[ndarray, "T"], frames: Sequence[str], folder: Path) -> None:
-    """Write one PNG for each frame whose mask is known, 255 where the mask is set, into a new folder."""
+    """Write the known masks as PNGs of 0 and 255 into a new folder."""
     folder.mkdir(parents=True)
-    for name, mask, there in zip(frames, masks, known, strict=True):
-        if there:
+    for name, mask, is_known in zip(frames, masks, known, strict=True):
+        if is_known:
             write_mask(folder / f"{name}.png", mask)
 
 
 def _has_masks(clip: Clip) -> bool:
-    """Return whether the clip's folder has masks."""
     return clip.folder is not None and (clip.folder / "masks" / "object").exists()
 
 
@@ -178,7 +172,6 @@ def _read_mask_png(folder: Path, kind: str, frame: str, size: tuple[int, int]) -
 
 
 def _check_nonempty_masks(clip: Clip, any_object: bool) -> None:
-    """Refuse masks that are all empty."""
     if not any_object:
         folder = clip.origin / "masks" / "object"
         count = sum(has_mask(clip.origin, frame) for frame in clip.frames)
@@ -187,16 +180,16 @@ def _check_nonempty_masks(clip: Clip, any_object: bool) -> None:
 
 
 def check_masks(clip: Clip, masks: Masks) -> None:
-    """Raise ``UsageError`` for masks of another clip: of other frames, or another size."""
+    """Raise ``UsageError`` for masks of another clip: another number of frames, or another size."""
     expected = (len(clip), clip.size[1], clip.size[0])
     if masks.object.shape != expected:
         raise UsageError(f"masks must be of the shape {expected}, as the clip {clip.name} (got {masks.object.shape})")
 
 
 def observed_frames(clip: Clip, observed: Bool[ndarray, "T"], most: int | None = None) -> Clip:
-    """Return the clip at the frames in which the object is observed (``Masks.observed``), at ``most`` as many of them.
+    """Return the clip at its ``observed`` frames (``Masks.observed``), at most ``most`` of them.
 
-    Raises ``InputError`` for fewer than two: one silhouette says nothing about a motion.
+    Raises ``InputError`` for fewer than two: one silhouette does not determine a motion.
     """
     if observed.sum() < 2:
         got = f"{observed.sum()} of {len(clip)} frames whose mask has a pixel that is not ignored"
@@ -209,17 +202,13 @@ def observed_frames(clip: Clip, observed: Bool[ndarray, "T"], most: int | None =
 
 
 def occluded_by_hand(clip: Clip, masks: Masks) -> Masks:
-    """Ignore the pixels that the clip's hands cover and the object's mask does not.
-
-    Of a frame whose mask is not known, all still are.
-    """
+    """Ignore the pixels of the clip's rendered hands outside the object's mask; all pixels of unknown masks."""
     from getagrip.geometry.rasterize import render_coverage
 
     hands = [(clip.hand, np.ones(len(clip), dtype=bool))]
     if clip.other_hand is not None:
         hands.append((clip.other_hand.track, clip.other_hand.known))
     posed = [(se3.transform(hand.T_cam_hand, hand.vertices), hand.faces, known) for hand, known in hands]
-
     unknown = ~masks.known
 
     def hidden(n: int, visible: Bool[ndarray, "H W"]) -> Bool[ndarray, "H W"]:

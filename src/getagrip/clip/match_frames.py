@@ -1,7 +1,7 @@
-"""Which frame of a clip a file from another program belongs to, by its name.
+"""Match files of other programs to a clip's frames by their names.
 
-Estimators often count what they were given, whichever frame of a video that began with. Files and frames may then have
-some numbers in common, by luck, and each file would be taken for another frame's: ``check_frame_numbers`` asks.
+Estimators often number their inputs from 0, whatever the video's first frame. Files and frames may then share some
+numbers by chance, and files would be matched to wrong frames: ``check_frame_numbers`` asks the user.
 """
 
 from __future__ import annotations
@@ -17,46 +17,44 @@ from getagrip.io import files
 
 _TRAILING_NUMBER = re.compile(r"(\d{1,12})$")
 _PERSON_SUFFIX = re.compile(r"_\d{1,2}$|_\d{1,2}_3dkeypoints$|_prediction_result$")
-"""Suffixes that estimators add to an image's name: HaMeR a person's number, FrankMocap two words."""
+"""Suffixes added by estimators: HaMeR's number of a person, FrankMocap's two words."""
 _OBJECT_SUFFIX = re.compile(
     r"(?<=\d{3})[-_.](?:(?:object|obj|mask|instance|inst|segment)s?[-_]?(?:0|[1-9]\d{0,2})?"
     r"|(?:class|label|tag)[-_][a-z]\w*)$",
     re.IGNORECASE,
 )
-"""Suffixes of images of one thing each, as RectLabel's ``000001_object0``."""
+"""Suffixes of images of single objects, such as RectLabel's ``000001_object0``."""
 _LABEL_STUDIO_TASK = re.compile(r"(.*task-\d+)-annotation-\d+(?:-by-\d+)?-tag-(.+)-\d+$")
-"""Label Studio's images: the number of the task, which is one image, and a label."""
+"""Label Studio's images: the number of the task (one image), and a label."""
 _ROBOFLOW_SUFFIX = re.compile(r"_(?:jpe?g|png|webp|bmp|tiff?)\.rf\.[0-9A-Za-z]+$", re.IGNORECASE)
 _UUID_SUFFIX = re.compile(r"(?:^|[-_. ])[0-9a-f]{8}(?:-?[0-9a-f]{4}){3}-?[0-9a-f]{12}$", re.IGNORECASE)
 _LAST_NAME_PART = re.compile(r"(?:^|[-_. ])([0-9A-Za-z]+)$")
 _SIZE_OR_TIME = re.compile(r"\d+x\d+|\d{8}T\d{4,}Z?")
 _HASH_OR_DATE = re.compile(r"(?=.{8})(?:[a-f]+\d+|[1-9]\d+)", re.IGNORECASE)
-"""May also be a word with the frame's number, or a number: what it is shows in what is before it."""
+"""A hash or date, if a number precedes it; else a word with the frame's number, or a number."""
 _HEX_DIGITS, _MIN_HASH_LENGTH = {*"0123456789abcdef"}, 6
 _MIN_DATE_NUMBER = 10_000_000
-"""Numbers from here on may be dates, times, or hashes without a letter."""
+"""Number from which on a name may have a date, a time, or a hash without letters."""
 _MAX_NAME_LENGTH = 255
-"""Letters of a file's name."""
 MAX_NAMES_IN_ERROR = 12
-"""Names that an error lists."""
 
 
 def stem_of(file_name: str) -> str:
-    """Return a file's name without folders and suffix."""
+    """Strip folders and suffix from a file's name."""
     name = file_name.replace("\\", "/").rsplit("/", maxsplit=1)[-1]
     return name.rpartition(".")[0] or name
 
 
 def number_of(name: str) -> int | None:
-    """Return the number at the end of a name; None where there is none."""
+    """Return the number at the end of a name; None without one."""
     found = _TRAILING_NUMBER.search(name)
     return int(found[1]) if found else None
 
 
 def number_in(name: str) -> int | None:
-    """Return the number of the image that a name stands for; None where there is none.
+    """Return the number of an image by its name; None without one.
 
-    Without what is added behind it: a person by estimators, a hash, a size or a date by other programs.
+    Additions behind the number are ignored: a person's number by estimators, a hash, a size or a date.
     """
     name = _OBJECT_SUFFIX.sub("", _LABEL_STUDIO_TASK.sub(r"\1", strip_name_codes(name)))
     number = number_of(_PERSON_SUFFIX.sub("", name))
@@ -64,12 +62,12 @@ def number_in(name: str) -> int | None:
 
 
 def pattern_of(name: str) -> str:
-    """Return a pattern for the names of a set of images, of which each frame has one: ``rgb_*``, ``*_object0``."""
+    """Return the pattern of an image's set, which has one image per frame: ``rgb_*``, ``*_object0``."""
     return _image_set_of(name)[0]
 
 
 def _image_set_of(name: str) -> tuple[str, int | None]:
-    """Return the pattern of a name's set, and its number in there; a date or a time before it may be any."""
+    """Return the pattern of an image's set, and the image's number in it; dates and times before it become ``*``."""
     path = PurePosixPath(name.replace("\\", "/"))
     if task := _LABEL_STUDIO_TASK.match(path.stem):
         return str(path.with_name(f"*-tag-{task[2]}-*")), number_in(path.stem)
@@ -83,10 +81,10 @@ def _image_set_of(name: str) -> tuple[str, int | None]:
 
 
 def single_image_set(folder: Path, paths: Sequence[Path], images: str = "", option: str = "") -> list[Path]:
-    """Return the images of a folder that are ``images``, one for each number.
+    """Return the images of a folder that match ``images``, one for each number.
 
-    ``option`` is that of the command line which chooses. Raises ``InputError`` for several of one number, as of colour
-    and depth side by side, and ``UsageError`` where none is chosen.
+    ``option`` is the command line's option for ``images``. Raises ``InputError`` for several images of one number, such
+    as colour and depth side by side, and ``UsageError`` if none matches.
     """
     chosen = [paths[row] for row in matching_names([path.name for path in paths], images)]
     if paths and not chosen:
@@ -104,16 +102,15 @@ def single_image_set(folder: Path, paths: Sequence[Path], images: str = "", opti
             break
     if both is not None:
         sets = suggest_image_filters([path.name for path in both])
-        choice = (
-            " or ".join(f"{option} {files.shorten_value(one)}" for one in sets) if option else "a folder of its own"
-        )
+        options = " or ".join(f"{option} {files.shorten_value(one)}" for one in sets)
+        choice = f"{options} chooses" if option else "a folder of its own for each set"
         got = f"several images of one frame, {' and '.join(files.printable(path.name) for path in both)}"
-        raise InputError(folder, "", got, f"one set of images; {choice}{' chooses' if option else ' for each set'}")
+        raise InputError(folder, "", got, f"one set of images; {choice}")
     return chosen
 
 
 def strip_name_codes(name: str) -> str:
-    """Strip the hashes, sizes and dates at a name's end: ``000001_jpg.rf.9f86d081`` is ``000001``."""
+    """Strip hashes, sizes and dates at a name's end: ``000001_jpg.rf.9f86d081`` is ``000001``."""
     if len(name) > _MAX_NAME_LENGTH:
         return name
     name = _UUID_SUFFIX.sub("", _ROBOFLOW_SUFFIX.sub("", name))
@@ -123,20 +120,20 @@ def strip_name_codes(name: str) -> str:
 
 
 def _is_code(part: str, before: str) -> bool:
-    """Return whether a part of a name is no word and no number of a frame."""
-    low, behind = part.lower(), _LAST_NAME_PART.search(before)
+    """Return whether a part of a name, after ``before``, is a hash, a size, a date or a time."""
+    low, previous = part.lower(), _LAST_NAME_PART.search(before)
     if len(low) >= _MIN_HASH_LENGTH and {*low} <= _HEX_DIGITS and re.search(r"\d[a-f]", low):
         return True
     if _SIZE_OR_TIME.fullmatch(part):
         return True
-    return _HASH_OR_DATE.fullmatch(part) is not None and behind is not None and behind[1].isdigit()
+    return _HASH_OR_DATE.fullmatch(part) is not None and previous is not None and previous[1].isdigit()
 
 
 def frame_of(name: str, frames: Sequence[str]) -> int | None:
-    """Return the index of the frame that a name, without suffix, stands for; None for no frame or several.
+    """Return the index of the frame that a file's name, without suffix, matches; None for no frame or several.
 
-    Tried in this order: the same name; the same but for what is added at its end (``000743_0``, a hash); the same
-    number at the end (``frame_0000000743`` is ``000743``), a date only where frames are numbered by dates.
+    Tried in this order: the same name; the same without additions at its end (``000743_0``, a hash); the same number
+    at the end (``frame_0000000743`` is ``000743``), a date only if frames are numbered by dates.
     """
     return _find_frame(name, _index_frames(tuple(frames)))
 
@@ -163,10 +160,10 @@ def _find_frame(name: str, places: tuple[dict[str, int], dict[int, list[int]]]) 
 def rows_of_frames(
     names: Sequence[str], frames: Sequence[str], source: Path, what: str, images: str = "", option: str = ""
 ) -> dict[int, int]:
-    """Return the row of the one file, image or pose of each frame that has one, by their names.
+    """Match frames to rows by their names: the row of each frame's file, image or pose, at most one.
 
-    ``what`` each is, in a word. ``images`` chooses among names, by a folder or a pattern, and ``option`` is that of the
-    command line that does. Raises ``UsageError`` where none is chosen, and ``InputError`` for two of one frame.
+    ``what`` names a row in errors. ``images`` selects names by a folder or a pattern, and ``option`` is its option on
+    the command line. Raises ``UsageError`` if no name matches ``images``, and ``InputError`` for two rows of one frame.
     """
     chosen = matching_names(names, images)
     if names and not chosen:
@@ -189,11 +186,10 @@ def rows_of_frames(
 def rows_in_order(
     count: int, frames: Sequence[str], source: Path, what: str, counted: bool, option: str = "--first"
 ) -> dict[int, int]:
-    """Return the row of each frame among rows without names: of the clip's frames, or of a whole video.
+    """Match frames to rows without names: of the clip's frames, or of a whole video.
 
-    Where the user has ``counted``, by an ``option``, frames have the numbers of their rows, from 0. Raises
-    ``InputError`` for fewer rows than frames, ``UsageError`` where it is not known which rows are meant, or where they
-    are not there.
+    If the user has ``counted`` by an ``option``, frames' numbers are those of their rows, from 0. Raises ``InputError``
+    for fewer rows than frames, and ``UsageError`` if the rows of the clip are unknown or missing.
     """
     got = f"{count} {what}s without names for {len(frames)} frames"
     if count < len(frames):
@@ -213,7 +209,7 @@ def rows_in_order(
 
 
 def check_unique_images(source: Path, names: Sequence[str], found: Sequence[int | None], frames: Sequence[str]) -> None:
-    """Raise ``InputError`` where two images are of one frame; an image may have several hands, by ``_PERSON_SUFFIX``."""
+    """Raise ``InputError`` for two images of one frame; an image may have several hands (``_PERSON_SUFFIX``)."""
     images: dict[int, tuple[str, str]] = {}
     for name, n in zip(names, found, strict=True):
         path = PurePosixPath(name.replace("\\", "/"))
@@ -226,9 +222,9 @@ def check_unique_images(source: Path, names: Sequence[str], found: Sequence[int 
 
 
 def matching_names(names: Sequence[str], images: str) -> list[int]:
-    """Return which names are in a folder, or like a pattern, that chooses among ``images``; all without one.
+    """Return the indices of names in the folder ``images``, or matching it as a pattern; all if it is empty.
 
-    A pattern that is a set's own, as ``*`` of ``000001`` beside ``000001_thumb``, chooses that set alone.
+    A set's own pattern, such as ``*`` of ``000001`` beside ``000001_thumb``, selects that set alone.
     """
     own = [row for row, name in enumerate(names) if images and pattern_of(name) == images]
     return own or [row for row, name in enumerate(names) if _matches_pattern(name, images)]
@@ -241,16 +237,11 @@ def _matches_pattern(name: str, images: str) -> bool:
 
 
 def suggest_image_filters(names: Sequence[str]) -> list[str]:
-    """List folders, suffixes or patterns of names, whichever tell images of one frame apart; the first few."""
+    """List folders, suffixes or patterns of names, whichever differ between images of one frame; the first few."""
     paths = [PurePosixPath(name.replace("\\", "/")) for name in names]
-    for each in (
-        {str(path.parent) for path in paths},
-        {f"*{path.suffix}" for path in paths},
-        {pattern_of(name) for name in names},
-    ):
-        if len(each) > 1:
-            return sorted(each)[:MAX_NAMES_IN_ERROR]
-    return []
+    folders, suffixes = {str(path.parent) for path in paths}, {f"*{path.suffix}" for path in paths}
+    sets = (folders, suffixes, {pattern_of(name) for name in names})
+    return next((sorted(each)[:MAX_NAMES_IN_ERROR] for each in sets if len(each) > 1), [])
 
 
 @lru_cache(maxsize=8)
@@ -265,10 +256,7 @@ def _index_frames(frames: tuple[str, ...]) -> tuple[dict[str, int], dict[int, li
 
 
 def renumber_frames(frames: Sequence[str], first: int, option: str) -> tuple[str, ...]:
-    """Return the names of frames where the first one has another number.
-
-    Raises ``UsageError`` where they have none, or where it would be below 0.
-    """
+    """Return frame names numbered from ``first``. Raises ``UsageError`` for names without numbers, or ``first`` < 0."""
     if first < 0:
         raise UsageError(f"{option} must be 0 or more (got {first})")
     numbers = [number_of(name) for name in frames]
@@ -279,10 +267,10 @@ def renumber_frames(frames: Sequence[str], first: int, option: str) -> tuple[str
 
 
 def has_number_offset(frames: Sequence[str], names: Iterable[str]) -> bool:
-    """Return whether files seem to be counted from another start than frames.
+    """Return whether files seem to be numbered from another start than frames.
 
-    That is where they have a number 0 and frames have not, and where only some of their numbers are frames': where
-    about as many numbers as frames, from half of these to all, begin and end earlier, or begin and end later.
+    Either the files have a number 0 and the frames do not; or half to all as many numbers as frames begin and end
+    earlier, or begin and end later, and only some of them are frames'.
     """
     of_frames, value = _known_numbers(frames, number_of), _known_numbers(names, number_in)
     if len(of_frames) < len(frames) or not value:
@@ -295,9 +283,9 @@ def has_number_offset(frames: Sequence[str], names: Iterable[str]) -> bool:
 
 
 def check_frame_numbers(frames: Sequence[str], names: Iterable[str], source: object, what: str, option: str) -> None:
-    """Raise ``UsageError`` where files are ``has_number_offset`` and nobody has said how they match.
+    """Raise ``UsageError`` for files with another start (``has_number_offset``) that the user has not stated.
 
-    ``what`` each of them is, in a word; ``option`` states the number of the first frame's, and is empty where it was
+    ``what`` names a file in errors; ``option`` states the number of the first frame's file, and is empty if it was
     used.
     """
     names = list(names)

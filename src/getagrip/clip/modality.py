@@ -1,8 +1,8 @@
-"""Modalities: the kinds of evidence that pixels give about a clip.
+"""Modalities: kinds of evidence in the images of a clip.
 
-A modality is all that is known of one kind: its files in a clip's folder, how they are read at some frames, its checks,
-and the terms that it gives. A new one is a file in ``getagrip/evidence`` and a line in ``MODALITIES``; a script adds
-its own with ``MODALITIES["mine"] = Mine()``, another package by an entry point (``io.plugins``).
+A modality defines its files in a clip's folder, their reading, its checks, and its terms. A new one is a file in
+``getagrip/fitting/evidence`` and a line in ``MODALITIES``; a script adds its own with ``MODALITIES["mine"] = Mine()``,
+another package by an entry point (``io.plugins``).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar, cast
 from getagrip.clip.clip import Clip, PerFrame
 from getagrip.io.plugins import PluginTable
 
-if TYPE_CHECKING:  # the only upward look: what a modality answers with is defined where it is used
+if TYPE_CHECKING:  # the only upward imports, of types alone
     from getagrip.checks import Check
     from getagrip.fitting.energy import Terms
     from getagrip.fitting.problem import Problem
@@ -27,33 +27,33 @@ D_co = TypeVar("D_co", bound=PerFrame, covariant=True)
 
 
 class Modality(ABC, Generic[D_co]):
-    """One kind of evidence, whose data at the T frames of a clip is a ``D_co``."""
+    """One kind of evidence, with data of type ``D_co`` at the T frames of a clip."""
 
     name: ClassVar[str]
     """Key of its data in ``Clip.evidence``."""
     input_checks: ClassVar[tuple[Check, ...]] = ()
     """Checks of the clip, before the fit."""
     result_checks: ClassVar[tuple[Check, ...]] = ()
-    """Checks of the poses that were found."""
+    """Checks of the fitted poses."""
 
     @abstractmethod
     def files(self, folder: Path, frames: Sequence[str]) -> Iterable[str]:
-        """Yield the names of its files in a clip's folder that these frames need, each once: results depend on them."""
+        """Yield the names of its files for some frames in a clip's folder, each once: results depend on them."""
 
     @abstractmethod
     def read(self, clip: Clip) -> D_co | None:
-        """Read and check the data of a clip's frames from its folder; None where it has none. Raises ``InputError``."""
+        """Read and check the data of a clip's frames from its folder; None without any. Raises ``InputError``."""
 
     @abstractmethod
     def write(self, clip: Clip, folder: Path) -> None:
-        """Write the data of a clip into its new folder, where there is some."""
+        """Write the data of a clip, if any, into its new folder."""
 
     def terms(self, problem: Problem) -> Terms | None:
-        """Give terms on the object and on the hand, at the problem's frames; None where there is no data."""
+        """Give terms on the object and on the hand, at the problem's frames; None without data."""
         return None
 
     def of(self, clip: Clip) -> D_co | None:
-        """Return the data that a clip has in memory."""
+        """Return the data of a clip in memory; None without any."""
         return cast("D_co | None", clip.evidence.get(self.name))
 
 
@@ -69,7 +69,7 @@ MODALITIES = PluginTable(
     "a Modality of the same name",
     lambda name, it: isinstance(it, Modality) and it.name == name,
 )
-"""Every modality by its name, or where its class is, which is imported when it is first needed."""
+"""Modalities by name, each as an object, or as ``module:class`` to import on first use."""
 
 
 def modalities() -> tuple[Modality[PerFrame], ...]:
@@ -79,7 +79,6 @@ def modalities() -> tuple[Modality[PerFrame], ...]:
 
 @cache
 def _load_modality(entry: str) -> Modality[PerFrame]:
-    """Return the modality of a class named as ``module:class``."""
     return cast(Modality[PerFrame], resolve_name(entry)())
 
 
@@ -91,11 +90,11 @@ def with_evidence(clip: Clip) -> Clip:
     missing = [modality for modality in modalities() if modality.name not in clip.evidence]
     if clip.folder is None or not missing:
         return clip
-    for modality in missing:  # each may look at those before it: depth is read about the object's masks
+    for modality in missing:  # one by one: depth is read around the object's masks
         clip = replace(clip, evidence={**clip.evidence, modality.name: modality.read(clip)})
     return clip
 
 
 def other_evidence(clip: Clip) -> list[str]:
-    """Name the evidence that a clip has in memory besides its masks."""
+    """Name the evidence of plug-ins and scripts that a clip has in memory."""
     return [name for name, data in clip.evidence.items() if data is not None and name not in BUILTIN_MODALITIES]

@@ -1,22 +1,18 @@
-"""Poses of the object in every frame from other systems: files of them, and their place in a clip.
+"""Object poses of other systems: read at a clip's frames, in its hand frame, and written in the same formats.
 
-Poses in other systems' files: one 4x4 for each frame, in one file or in a file each, or BOP's results.
+Files have one 4x4 matrix for each frame, or are BOP's results:
 
-- ``.csv``: BOP's results; ``R`` row by row and ``t`` [mm] bring the model into the camera frame, ``im_id`` is the
-  frame's number. Of several poses of an image one is followed (``at_frames``);
+- ``.csv``: BOP's results; ``R`` row by row and ``t`` [mm] map the model into the camera frame, ``im_id`` is the frame's
+  number. One of several poses of an image is tracked (``read_poses``);
 - ``.json``: a list of matrices, a dictionary with a matrix for each frame, or BOP's ``scene_gt`` (``cam_R_m2c``,
   ``cam_t_m2c`` [mm]);
-- ``.npz``, or ``.json`` with the same keys: ``T_cam_obj`` or ``T_hand_obj`` (T, 4, 4), and perhaps ``scale`` and
+- ``.npz``, or ``.json`` with the same keys: ``T_cam_obj`` or ``T_hand_obj`` (T, 4, 4), optionally ``scale`` and
   ``frames`` (names or numbers);
 - ``.npy`` (T, 4, 4), ``.txt`` with 16 numbers for each frame, in any number of lines, or 12 in a line of each;
 - a folder of ``.txt``, ``.npy`` or ``.json`` files of one matrix each, named like the frames.
 
-Matrices are in metres, from the object's frame to the camera's (x right, y down, z forward), unless they are called
-``T_hand_obj``. A matrix of NaN, or null in JSON, is a frame that was lost.
-
-Another system's poses at the frames of a clip, in its hand frame.
-
-Write poses in the format of a file or folder of another system's (``clip.object_poses``).
+Matrices are in metres, from the object's frame to the camera's (x right, y down, z forward), unless they are named
+``T_hand_obj``. A matrix of NaN, or null in JSON, marks a lost frame.
 """
 
 from __future__ import annotations
@@ -51,28 +47,41 @@ SINGLE_POSE_SUFFIXES = (".txt", ".npy", ".json")
 """Suffixes of files that may hold one matrix."""
 MAX_OBJECT_POSES_BYTES = 256 * 2**20
 MAX_POSES = 1_000_000
-"""In a text file, bounds its memory."""
+"""Maximum number of poses in a text file."""
 BOP_COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t")
 HOMOGENEOUS_ROW = (0.0, 0.0, 0.0, 1.0)
 MISSING_POSE = np.full((4, 4), np.nan)
+FIRST_FRAME_OPTION = "--first"
+"""The option of ``evaluate`` and ``refine`` that states the number of the first frame's pose."""
+RANK_COST = 0.01
+"""Cost of a pose per pose of the same image with a higher score, in sizes of the object's mask."""
+POSE_ROUNDING_TOLERANCE = 0.02
+"""Maximum deviation of rounded matrices from rotations; the nearest rotations are used."""
+MAX_GRASPED_OFFSET_M = 0.5
+"""Maximum distance of an object's centre from the origin of the hand frame [m]."""
 
 
 @dataclass(frozen=True)
 class PoseFile:
-    """The content of a file of poses."""
+    """The content of a file of poses.
+
+    Attributes:
+        path: the file.
+        T: (n, 4, 4) poses [m]; NaN in lost frames.
+        names: names or numbers of the frames; None if the file has none.
+        in_hand: True if the poses are in the clip's hand frame, not in the camera's.
+        scale: factor on the mesh; None if not stated.
+        candidates: all poses of each row's image, if any image has several; else empty.
+        by_place: True if numbers may be indices of frames without numbers, as in BOP's files.
+    """
 
     path: Path
     T: Float[ndarray, "n 4 4"]
-    """NaN in frames that were lost."""
     names: tuple[str, ...] | None
-    """Names of the frames, or their numbers; None where the file does not name them."""
     in_hand: bool = False
-    """True if the poses are in the clip's hand frame, not in the camera's."""
     scale: float | None = None
     candidates: tuple[Float[ndarray, "k 4 4"], ...] = ()
-    """All poses of each row's image, where some images have several; empty where none has."""
     by_place: bool = False
-    """True if numbers may stand for the places of frames that have no numbers, as in BOP's files."""
 
 
 def read_pose_file(path: Path) -> PoseFile:
@@ -87,33 +96,27 @@ def read_pose_file(path: Path) -> PoseFile:
     if suffix == ".npz":
         return _read_pose_record(path, arrays.read(path, {"T_cam_obj", "T_hand_obj", "scale", "frames"}.__contains__))
     if suffix == ".npy":
-        return PoseFile(
-            path,
-            _parse_pose_matrices(path, "", arrays.parse_npy(path, "", files.read_bytes(path, MAX_OBJECT_POSES_BYTES))),
-            None,
-        )
+        stored = arrays.parse_npy(path, "", files.read_bytes(path, MAX_OBJECT_POSES_BYTES))
+        return PoseFile(path, _parse_pose_matrices(path, "", stored), None)
     if suffix == ".txt":
         return PoseFile(path, _parse_pose_matrices(path, "", _read_pose_text(path)), None)
     if suffix == ".json":
         return _read_pose_json(path)
-    raise InputError(
-        path, "", f"the suffix {files.shorten_value(path.suffix)}", f"one of {', '.join(POSE_FILE_SUFFIXES)}"
-    )
+    got = f"the suffix {files.shorten_value(path.suffix)}"
+    raise InputError(path, "", got, f"one of {', '.join(POSE_FILE_SUFFIXES)}")
 
 
 def _read_pose_folder(folder: Path) -> PoseFile:
     """Read a folder with a matrix in each file."""
     paths = files.list_files(folder, SINGLE_POSE_SUFFIXES)
     if not paths:
-        raise InputError(
-            folder, "", "no poses in it", f"files named like the frames ({', '.join(SINGLE_POSE_SUFFIXES)})"
-        )
+        expected = f"files named like the frames ({', '.join(SINGLE_POSE_SUFFIXES)})"
+        raise InputError(folder, "", "no poses in it", expected)
     found = [read_pose_file(path) for path in paths]
     several = next((each for each in found if len(each.T) != 1), None)
     if several is not None:
-        raise InputError(
-            several.path, "", f"{len(several.T)} matrices", "one, of the frame that the file is named after"
-        )
+        got = f"{len(several.T)} matrices"
+        raise InputError(several.path, "", got, "one, of the frame that the file is named after")
     return PoseFile(folder, np.concatenate([each.T for each in found]), tuple(path.stem for path in paths))
 
 
@@ -141,21 +144,15 @@ def _read_pose_text(path: Path) -> ndarray:
 def _read_pose_json(path: Path) -> PoseFile:
     content = files.read_any_json(path)
     if isinstance(content, list):
-        return PoseFile(
-            path,
-            _parse_pose_matrices(path, "", [MISSING_POSE.tolist() if each is None else each for each in content]),
-            None,
-        )
+        rows = [MISSING_POSE.tolist() if each is None else each for each in content]
+        return PoseFile(path, _parse_pose_matrices(path, "", rows), None)
     if not isinstance(content, dict) or not content:
         raise InputError(path, "", files.shorten_value(content), "a list of matrices, or a matrix for each frame")
     if {"T_cam_obj", "T_hand_obj"} & content.keys():
         return _read_pose_record(path, content)
     if all(isinstance(value, list) and value and isinstance(value[0], dict) for value in content.values()):
         return _read_bop_truth(path, content)
-    T = [
-        MISSING_POSE[None] if value is None else _parse_pose_matrices(path, name, value)
-        for name, value in content.items()
-    ]
+    T = [MISSING_POSE[None] if one is None else _parse_pose_matrices(path, name, one) for name, one in content.items()]
     several = next((name for name, each in zip(content, T, strict=True) if len(each) != 1), None)
     if several is not None:
         raise InputError(path, files.printable(several), "several matrices", "one for each frame")
@@ -171,9 +168,8 @@ def _read_pose_record(path: Path, entry: Mapping[str, object]) -> PoseFile:
     if "frames" in entry:
         values = arrays.array_from_names(entry["frames"])
         if values is None or len(values) != len(T):
-            raise InputError(
-                path, "frames", files.shorten_value(entry["frames"]), f"{len(T)} names or numbers of frames"
-            )
+            expected = f"{len(T)} names or numbers of frames"
+            raise InputError(path, "frames", files.shorten_value(entry["frames"]), expected)
         names = tuple(str(value) for value in values)
     if "scale" in entry:
         value = arrays.from_lists(entry["scale"])
@@ -184,12 +180,11 @@ def _read_pose_record(path: Path, entry: Mapping[str, object]) -> PoseFile:
 
 
 def _read_bop_results(path: Path) -> PoseFile:
-    """BOP's table of results. Raises ``InputError`` where it is of several scenes or objects."""
+    """Read BOP's table of results. Raises ``InputError`` for several scenes or objects."""
     heads, rows = files.csv_rows(path, files.read_bytes(path, MAX_OBJECT_POSES_BYTES), "BOP's results as CSV in UTF-8")
     if not {*BOP_COLUMNS} <= {*heads}:
-        raise InputError(
-            path, "line 1", files.shorten_value(heads), f"the columns {', '.join(BOP_COLUMNS)} of BOP's results"
-        )
+        expected = f"the columns {', '.join(BOP_COLUMNS)} of BOP's results"
+        raise InputError(path, "line 1", files.shorten_value(heads), expected)
     each: dict[str, list[tuple[float, ndarray]]] = {}
     seen: dict[str, set[str]] = {"scene_id": set(), "obj_id": set()}
     for at, row in rows:
@@ -197,14 +192,11 @@ def _read_bop_results(path: Path) -> PoseFile:
         for key, values in seen.items():
             values.add(str(row[key]))
             if len(values) > 1:
-                raise InputError(
-                    path, where, f"a second {key}, {files.printable(str(row[key]))}", "those of one clip's object"
-                )
+                got = f"a second {key}, {files.printable(str(row[key]))}"
+                raise InputError(path, where, got, "those of one clip's object")
         score, T = _parse_pose_numbers(path, where, row["score"], 1)[0], np.eye(4)
-        T[:3, :3], T[:3, 3] = (
-            _parse_pose_numbers(path, where, row["R"], 9, "nan").reshape(3, 3),
-            1e-3 * _parse_pose_numbers(path, where, row["t"], 3, "nan"),
-        )
+        T[:3, :3] = _parse_pose_numbers(path, where, row["R"], 9, "nan").reshape(3, 3)
+        T[:3, 3] = 1e-3 * _parse_pose_numbers(path, where, row["t"], 3, "nan")
         if np.isnan(T).any():
             continue
         image = str(row["im_id"])
@@ -224,12 +216,8 @@ def _read_bop_truth(path: Path, content: Json) -> PoseFile:
         for key, count in (("cam_R_m2c", 9), ("cam_t_m2c", 3)):
             values = arrays.from_lists(objects[0].get(key))
             if values is None or values.dtype.kind not in "fiu" or values.size != count:
-                raise InputError(
-                    path,
-                    f"{files.printable(image)}.{key}",
-                    files.shorten_value(objects[0].get(key)),
-                    f"{count} numbers",
-                )
+                where, got = f"{files.printable(image)}.{key}", files.shorten_value(objects[0].get(key))
+                raise InputError(path, where, got, f"{count} numbers")
             if count == 9:
                 T[n, :3, :3] = values.reshape(3, 3)
             else:
@@ -238,7 +226,7 @@ def _read_bop_truth(path: Path, content: Json) -> PoseFile:
 
 
 def _parse_pose_numbers(path: Path, where: str, text: str | None, count: int, unless: str = "") -> Float[ndarray, "n"]:
-    """Read numbers, which are finite ``unless`` all of them are this word."""
+    """Parse numbers, which are finite ``unless`` all of them are this word."""
     words = (text or "").split()
     try:
         values = np.array([float(word) for word in words])
@@ -251,7 +239,7 @@ def _parse_pose_numbers(path: Path, where: str, text: str | None, count: int, un
 
 
 def _parse_pose_matrices(path: Path, key: str, value: object) -> Float[ndarray, "n 4 4"]:
-    """Matrices of four rows and columns, finite or all NaN; a last row that a file leaves out is added."""
+    """Parse 4x4 matrices, finite or all NaN; a missing last row is added."""
     found = arrays.from_lists(value)
     values = np.array("") if found is None else found
     if values.dtype.kind in "fiu" and values.shape[-1:] == (16,):
@@ -260,10 +248,9 @@ def _parse_pose_matrices(path: Path, key: str, value: object) -> Float[ndarray, 
         row = np.broadcast_to(HOMOGENEOUS_ROW, (*values.shape[:-2], 1, 4))
         values = np.concatenate([values, row], axis=-2)
     if values.dtype.kind not in "fiu" or values.shape[-2:] != (4, 4) or values.ndim > 3 or not values.size:
-        shape = (
-            files.shorten_value(value) if not isinstance(value, ndarray) else f"{value.dtype} of shape {value.shape}"
-        )
-        raise InputError(path, key, shape, "a 4x4 matrix of numbers for each frame")
+        stored = isinstance(value, ndarray) and f"{value.dtype} of shape {value.shape}"
+        got = stored or files.shorten_value(value)
+        raise InputError(path, key, got, "a 4x4 matrix of numbers for each frame")
     values = values.reshape(-1, 4, 4).astype(float)
     lost = np.isnan(values[:, :3]).all(axis=(1, 2))
     arrays.floats(path, {key: np.where(lost[:, None, None], np.eye(4), values)}, key, values.shape)
@@ -272,7 +259,7 @@ def _parse_pose_matrices(path: Path, key: str, value: object) -> Float[ndarray, 
 
 
 def map_frames_to_rows(names: Sequence[str], found: Sequence[int | None], path: Path) -> dict[int, int]:
-    """Return the row of each frame that has one. Raises ``InputError`` for two of one frame."""
+    """Return the row of each frame with a pose. Raises ``InputError`` for two rows of one frame."""
     rows: dict[int, int] = {}
     for row, frame in enumerate(found):
         if frame is not None:
@@ -283,25 +270,15 @@ def map_frames_to_rows(names: Sequence[str], found: Sequence[int | None], path: 
     return rows
 
 
-FIRST_FRAME_OPTION = "--first"
-"""The option of ``evaluate`` and ``refine`` that states the number of the first frame's pose."""
-RANK_COST = 0.01
-"""Cost of a pose for each one of the same image that has a higher score [sizes of the object's mask]."""
-POSE_ROUNDING_TOLERANCE = 0.02
-"""Tolerance of rotations that were rounded, as to two decimals: the nearest ones are taken."""
-MAX_GRASPED_OFFSET_M = 0.5
-"""Largest distance of an object's middle from the origin of the hand frame [m]."""
-
-
 @dataclass(frozen=True)
 class PosesAtFrames:
     """Poses of a clip's mesh in its hand frame, in T frames.
 
     Attributes:
-        T_hand_obj: (T, 4, 4) a frame without a pose has that of the nearest frame that has one.
-        found: (T,) the frames that have one.
-        scale: factor on the mesh; None where the source says none.
-        names: what the source calls the frames, or would.
+        T_hand_obj: (T, 4, 4) poses [m]; a frame without one has the nearest frame's.
+        found: (T,) frames with a pose.
+        scale: factor on the mesh; None if not stated.
+        names: names of the frames in the source, or by its scheme.
         notes: how one of several poses of a frame was chosen, in words.
     """
 
@@ -313,10 +290,9 @@ class PosesAtFrames:
 
 
 def poses_path_of_clip(root: Path, clip: str) -> Path:
-    """Return the place of a clip's poses in a folder of many clips'.
+    """Return a clip's poses in a folder of many clips': ``<clip>.csv`` (or another suffix), or a folder ``<clip>``.
 
-    It holds ``<clip>.csv`` (or another suffix of ``files``) or a folder ``<clip>``. Raises ``InputError`` where there
-    are none.
+    Raises ``InputError`` if both are missing.
     """
     places = [root / clip, *(root / f"{clip}{suffix}" for suffix in POSE_FILE_SUFFIXES)]
     found = next((place for place in places if place.exists()), None)
@@ -327,7 +303,7 @@ def poses_path_of_clip(root: Path, clip: str) -> Path:
 
 
 def find_poses_path(root: Path, clip: str) -> Path:
-    """Return the place of a clip's poses: in a folder of many clips', or ``root`` itself, which may be one clip's."""
+    """Return a clip's poses in a folder of many clips', else ``root`` itself."""
     many = root.is_dir() and any((root / f"{clip}{suffix}").exists() for suffix in ("", *POSE_FILE_SUFFIXES))
     return poses_path_of_clip(root, clip) if many else root
 
@@ -335,8 +311,8 @@ def find_poses_path(root: Path, clip: str) -> Path:
 def read_poses(place: Path, clip: Clip, first: int | None = None) -> PosesAtFrames:
     """Read the poses of a file or folder at the clip's frames.
 
-    ``first`` is the number of the first frame's pose, where poses are counted from another start. Raises
-    ``InputError``, and ``UsageError`` where poses seem to be counted from another start.
+    ``first`` is the number of the first frame's pose, for poses numbered from another start. Raises ``InputError``, and
+    ``UsageError`` if poses seem to be numbered from another start.
     """
     poses = _poses_of_result(place) if place.is_dir() and is_result(place) else read_pose_file(find_pose_table(place))
     rows, frames = _rows_of_frames(poses, clip, first)
@@ -356,7 +332,7 @@ def read_poses(place: Path, clip: Clip, first: int | None = None) -> PosesAtFram
 def _track_candidates(
     candidates: Sequence[Float[ndarray, "k 4 4"]], scale: float, clip: Clip, index: ndarray
 ) -> tuple[Float[ndarray, "n 4 4"], tuple[str, ...]]:
-    """Follow one of several poses from frame to frame, near the masks where the clip has some; return it, and notes."""
+    """Track one of several poses from frame to frame, near the clip's masks if any; return its poses, and notes."""
     masks = find_masks(clip)
     size = scale * clip.mesh.diameter
     centres = [se3.transform(T, np.tile(scale * clip.mesh.centre, (len(T), 1, 1)))[:, 0] for T in candidates]
@@ -386,7 +362,7 @@ def _track_candidates(
 
 
 def find_pose_table(place: Path) -> Path:
-    """Return a folder's one table of poses, where it has one; else the folder itself."""
+    """Return a folder's only table of poses, else the folder itself. Raises ``InputError`` for several tables."""
     if not place.is_dir():
         return place
     tables = files.list_files(place, (".csv", ".npz"))
@@ -396,7 +372,7 @@ def find_pose_table(place: Path) -> Path:
 
 
 def _poses_of_result(folder: Path) -> PoseFile:
-    """Read a result folder of this package, perhaps of another version or made from other hands."""
+    """Read a result folder of this package, possibly of another version or with other hands."""
     result, _ = read_result(folder)
     if result.T_cam_hand is None:
         return PoseFile(folder, result.T_hand_obj, result.frames, in_hand=True, scale=result.scale)
@@ -404,7 +380,7 @@ def _poses_of_result(folder: Path) -> PoseFile:
 
 
 def _rows_of_frames(poses: PoseFile, clip: Clip, first: int | None) -> tuple[dict[int, int], tuple[str, ...]]:
-    """Return the row of each of the clip's frames that has one, and the frames' names there. Raises ``InputError``."""
+    """Return the row of each of the clip's frames with a pose, and the frames' names in the file."""
     if poses.names is None:
         frames = clip.frames if first is None else renumber_frames(clip.frames, first, FIRST_FRAME_OPTION)
         return rows_in_order(len(poses.T), frames, poses.path, "pose", first is not None), clip.frames
@@ -416,17 +392,15 @@ def _rows_of_frames(poses: PoseFile, clip: Clip, first: int | None) -> tuple[dic
     check_frame_numbers(frames, poses.names, poses.path, "pose", FIRST_FRAME_OPTION if first is None else "")
     rows = map_frames_to_rows(poses.names, [frame_of(name, frames) for name in poses.names], poses.path)
     if not rows:
-        shown = f"{files.printable(frames[0])} to {files.printable(frames[-1])}"
-        raise InputError(
-            poses.path, "", f"no pose of the clip's frames, only of {files.printable(poses.names[0])}, ...", shown
-        )
+        got = f"no pose of the clip's frames, only of {files.printable(poses.names[0])}, ..."
+        raise InputError(poses.path, "", got, f"{files.printable(frames[0])} to {files.printable(frames[-1])}")
     return rows, frames
 
 
 def _convert_to_hand_frame(
     poses: PoseFile, T: Float[ndarray, "n 4 4"], scale: float, clip: Clip, index: ndarray
 ) -> Float[ndarray, "n 4 4"]:
-    """Convert poses to the clip's hand frame. Raises ``InputError`` for what can be no pose there."""
+    """Convert poses to the clip's hand frame. Raises ``InputError`` for implausible poses."""
     T_cam_hand = clip.hand.T_cam_hand[index]
     rounded = se3.is_rigid(T, POSE_ROUNDING_TOLERANCE)
     T[rounded, :3, :3] = se3.nearest_rotation(T[rounded, :3, :3])
@@ -447,11 +421,11 @@ class ExternalTrack:
     """Poses of an object in T frames.
 
     Attributes:
-        names: how the format's other files call the frames.
-        T_cam_obj: (T, 4, 4) [m].
-        T_hand_obj: (T, 4, 4) the same in the clip's hand frame [m].
+        names: names of the frames in the format's other files.
+        T_cam_obj: (T, 4, 4) poses in the camera frame [m].
+        T_hand_obj: (T, 4, 4) the same poses in the clip's hand frame [m].
         scale: factor on the mesh.
-        score: (T,) how good each is, for formats that say so; NaN: unknown.
+        score: (T,) score of each pose, for formats with scores; NaN: unknown.
     """
 
     names: tuple[str, ...]
@@ -462,14 +436,14 @@ class ExternalTrack:
 
 
 def write_poses_like(place: Path, track: ExternalTrack, folder: Path) -> Path:
-    """Write a track into a folder as ``place`` has one, under the same name; return where it is.
+    """Write a track into a folder in the format and under the name of ``place``; return its path.
 
-    ``place`` is a file, or a folder with a file for each frame. Raises ``InputError`` where it cannot be read.
+    ``place`` is a file, or a folder with a file for each frame. Raises ``InputError`` if it cannot be read.
     """
     out = folder / place.name
     if place.is_dir():
         suffix = files.list_files(place, SINGLE_POSE_SUFFIXES)[0].suffix.lower()
-        files.folder_inside(folder, place.name)  # a call that is repeated finds it there
+        files.folder_inside(folder, place.name)  # exists in a repeated call
         for name, T in zip(track.names, track.T_cam_obj, strict=True):
             files.write_bytes(out / f"{name}{suffix}", _encode_pose_matrices(suffix, T))
         return out
@@ -498,7 +472,7 @@ def _encode_pose_matrices(suffix: str, T: Float[ndarray, "*T 4 4"]) -> bytes:
 
 
 def _encode_bop_results(place: Path, track: ExternalTrack) -> bytes:
-    """BOP's table, of the scene and object that the file is of."""
+    """Write BOP's table, for the scene and object of the file ``place``."""
     _, rows = files.csv_rows(place, files.read_bytes(place), "BOP's results as CSV in UTF-8")
     _, first = next(iter(rows))
     text = io.StringIO()
@@ -511,7 +485,7 @@ def _encode_bop_results(place: Path, track: ExternalTrack) -> bytes:
 
 
 def _encode_pose_record(place: Path, track: ExternalTrack) -> bytes:
-    """Arrays by name, in the frame that the file's are in."""
+    """Write arrays by name, in the frame of the file ``place``."""
     key = "T_hand_obj" if "T_hand_obj" in arrays.read(place, {"T_cam_obj", "T_hand_obj"}.__contains__) else "T_cam_obj"
     stream = io.BytesIO()
     np.savez(stream, **{key: getattr(track, key)}, frames=np.array(track.names), scale=np.array(track.scale))
@@ -519,7 +493,7 @@ def _encode_pose_record(place: Path, track: ExternalTrack) -> bytes:
 
 
 def _encode_pose_json(place: Path, track: ExternalTrack) -> bytes:
-    """Write a list, a record, a matrix by frame, or BOP's ``scene_gt``: whichever the file has."""
+    """Write a list, a record, a matrix by frame, or BOP's ``scene_gt``, as in the file ``place``."""
     given = files.read_any_json(place)
     content: object = track.T_cam_obj.tolist()
     if isinstance(given, dict) and {"T_cam_obj", "T_hand_obj"} & given.keys():

@@ -1,14 +1,12 @@
-"""Clips from their folders, every number checked. The format is in docs/formats.md.
+"""Read clips from their folders, every number checked (docs/formats.md); and segments from files of their own.
 
-The parts of ``clip.json`` about each frame: its name, camera, time and camera pose.
-
-Segments in a file of their own, as ``segment --from-masks`` finds them and ``annotate`` writes them, and into clips.
+A file of segments, as ``segment --from-masks`` and ``annotate`` write it, has an entry for each clip or video:
 
     {"pour-01": {"segments": [{"state": "static", "first": "000743", "last": "000760"}, ...],
                  "source": "marked by ann", "still_camera": "as ann states"}, ...}
 
-By clip or video, ``segments`` as ``clip.json`` has them. ``source`` says where they come from; ``still_camera`` that
-the camera did not move, and who says so. Other keys (``margins``, ``notes``) are for people.
+``segments`` is as in ``clip.json``, ``source`` their source, and ``still_camera`` the source of the statement that the
+camera did not move. Other keys (``margins``, ``notes``) are for people.
 """
 
 from __future__ import annotations
@@ -53,14 +51,13 @@ CLIP_CAMERA_KEYS = ("K", "T_world_cam", "world_up", "world_support")
 
 
 def parse_frame_names(path: Path, names: object) -> tuple[str, ...]:
-    """Check the frames' names: at least one, each a plain file name, none twice."""
+    """Parse the frames' names: at least one, unique, each a plain file name. Raises ``InputError``."""
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise InputError(path, "frames", files.shorten_value(names), "a list of names, one for each frame")
     bad = next((name for name in names if not files.is_portable_name(name)), None)
     if bad is not None:
-        raise InputError(
-            path, "frames", f"the name {files.shorten_value(bad)}", "names of files, without folder and suffix"
-        )
+        got = f"the name {files.shorten_value(bad)}"
+        raise InputError(path, "frames", got, "names of files, without folder and suffix")
     if len(set(names)) < len(names):
         twice = Counter(names).most_common(1)[0][0]
         raise InputError(path, "frames", f"the name {files.shorten_value(twice)} twice", "each frame once")
@@ -70,28 +67,22 @@ def parse_frame_names(path: Path, names: object) -> tuple[str, ...]:
 def parse_intrinsics(
     path: Path, camera: dict[str, object], frames: int, size: tuple[int, int]
 ) -> Float[ndarray, "T 3 3"]:
-    """Parse the pinhole intrinsics of each frame [px]."""
+    """Parse the pinhole intrinsics of each frame [px]. Raises ``InputError``."""
     K = _parse_matrices(path, "camera.K", camera["K"], 3, frames)
     check_intrinsics(path, K, size)
     return K
 
 
 def parse_world(path: Path, camera: dict[str, object], frames: tuple[str, ...]) -> World | None:
-    """Parse the camera's path in a frame that stands still; None where it is not known."""
+    """Parse the camera's trajectory in a static frame; None if unknown. Raises ``InputError``."""
     up = None if "world_up" not in camera else _numbers_to_array(camera["world_up"])
     if up is not None and not (up.shape == (3,) and abs(np.linalg.norm(up) - 1.0) < 1e-3):
-        raise InputError(
-            path, "camera.world_up", files.shorten_value(camera["world_up"]), "[x, y, z], a direction of length 1"
-        )
+        got = files.shorten_value(camera["world_up"])
+        raise InputError(path, "camera.world_up", got, "[x, y, z], a direction of length 1")
     support = None if "world_support" not in camera else _numbers_to_array(camera["world_support"])
     if support is not None and not (support.shape == () and abs(support) <= MAX_CAMERA_TRAVEL_M):
-        got = files.shorten_value(camera["world_support"])
-        raise InputError(
-            path,
-            "camera.world_support",
-            got,
-            f"a height [m], at most {MAX_CAMERA_TRAVEL_M:g} m from the world's origin",
-        )
+        expected = f"a height [m], at most {MAX_CAMERA_TRAVEL_M:g} m from the world's origin"
+        raise InputError(path, "camera.world_support", files.shorten_value(camera["world_support"]), expected)
     if support is not None and up is None:
         raise InputError(path, "camera.world_support", "it", "none without camera.world_up, along which it is")
     if "T_world_cam" not in camera:
@@ -104,7 +95,7 @@ def parse_world(path: Path, camera: dict[str, object], frames: tuple[str, ...]) 
 
 
 def parse_times(path: Path, value: object, frames: tuple[str, ...]) -> Float[ndarray, "T"]:
-    """Parse the time of each frame [s]."""
+    """Parse the time of each frame [s]. Raises ``InputError``."""
     values = _numbers_to_array(value)
     if values.ndim != 1:
         raise InputError(path, "times", files.shorten_value(value), "a list of numbers [s], one for each frame")
@@ -115,36 +106,32 @@ def parse_times(path: Path, value: object, frames: tuple[str, ...]) -> Float[nda
 
 
 def _parse_matrices(path: Path, key: str, value: object, rows: int, frames: int) -> Float[ndarray, "T rows rows"]:
-    """Parse a square matrix of finite numbers for each frame, given once for all or for each."""
+    """Parse a square matrix of finite numbers for each frame, or one for all frames."""
     values = _numbers_to_array(value)
     if values.shape[-2:] != (rows, rows) or values.ndim not in (2, 3):
-        raise InputError(
-            path, key, files.shorten_value(value), f"a {rows}x{rows} matrix of numbers, or one for each frame"
-        )
+        expected = f"a {rows}x{rows} matrix of numbers, or one for each frame"
+        raise InputError(path, key, files.shorten_value(value), expected)
     if values.ndim == 3 and len(values) != frames:
         raise InputError(path, key, f"{len(values)} matrices", f"one, or one for each of the {frames} frames")
     return np.broadcast_to(values, (frames, rows, rows)).copy()
 
 
 def _numbers_to_array(value: object) -> Float[ndarray, "..."]:
-    """Convert lists of numbers to an array; one without axes where they are none.
-
-    JSON's reader has found the numbers to be finite.
-    """
+    """Convert lists of numbers, finite by JSON's reader, to an array; a scalar NaN for other values."""
     values = arrays.from_lists(value)
     return np.array(np.nan) if values is None or values.dtype.kind not in "fi" else values.astype(float)
 
 
 CLIP_FORMAT_VERSION = 4
-"""Version of the clips that are written; older ones are read, too."""
+"""Version of written clips; older ones can be read."""
 REQUIRED_CLIP_KEYS = ("version", "name", "category", "side", "fps", "frames", "size", "camera", "mesh", "scale")
 OPTIONAL_KEYS_BY_VERSION = {1: ("provenance",), 2: ("provenance", "times"), 3: ("provenance", "times", "segments")}
 OPTIONAL_KEYS_BY_VERSION[4] = (*OPTIONAL_KEYS_BY_VERSION[3], "depth")
 """Further keys of ``clip.json`` by its version."""
 CAMERA_KEYS_BY_VERSION = {1: CLIP_CAMERA_KEYS[:1], 2: CLIP_CAMERA_KEYS[:3], 3: CLIP_CAMERA_KEYS, 4: CLIP_CAMERA_KEYS}
-"""Keys of ``camera`` by the version; only the first must be there."""
+"""Keys of ``camera`` by version; only the first is required."""
 MAX_CLIP_SIDE_PX, MAX_CLIP_IMAGE_PIXELS = 16384, 40_000_000
-"""Plausible side [px] and number of pixels of an image; of video, 8K has the most."""
+"""Maximum side [px] and number of pixels of an image, above those of 8K video."""
 
 
 class ClipFields(TypedDict, total=False):
@@ -168,7 +155,7 @@ class ClipFields(TypedDict, total=False):
 
 @check_arguments
 def read_clip(folder: str | Path) -> Clip:
-    """Read and check a clip, except its masks and images, in the frames that have a hand.
+    """Read and check a clip, except its masks and images, in the frames with a hand.
 
     Args:
         folder: the clip's folder, or the ``clip.json`` in it (docs/formats.md).
@@ -217,7 +204,7 @@ def read_clip(folder: str | Path) -> Clip:
 
 @dataclass(frozen=True)
 class ClipHeader:
-    """The checked content of ``clip.json``, with frames that lack a hand; hands, mesh and masks are not read."""
+    """The checked content of ``clip.json``, including frames without a hand; hands, mesh and masks are not read."""
 
     folder: Path
     fields: ClipFields
@@ -227,7 +214,7 @@ class ClipHeader:
 
     @property
     def times(self) -> Float[ndarray, "T"]:
-        """(T,) the times of the frames [s]: as stated, or at the clip's rate by their numbers."""
+        """(T,) times of the frames [s]: as stated, or by the frames' numbers at the clip's rate."""
         if "times" in self.fields:
             return np.array(self.fields["times"], dtype=float)
         numbers = [number_of(name) for name in self.frames]
@@ -235,12 +222,12 @@ class ClipHeader:
         return np.asarray(at / float(self.fields["fps"]))
 
     def changed(self, new: Mapping[str, object]) -> dict[str, object]:
-        """Return the content of ``clip.json``, in today's version, with some new fields."""
+        """Return the content of ``clip.json`` with ``new`` fields, in the current version."""
         return {**self.fields, **new, "version": CLIP_FORMAT_VERSION}
 
 
 def read_header(folder: str | Path) -> ClipHeader:
-    """Read the header of a clip, which may lack its hands yet. Raises ``InputError``."""
+    """Read the header of a clip, which may still lack its hands. Raises ``InputError``."""
     folder = _resolve_clip_folder(folder)
     fields, path = _read_clip_fields(folder), folder / "clip.json"
     frames, size = parse_frame_names(path, fields["frames"]), _parse_image_size(path, fields["size"])
@@ -252,14 +239,14 @@ def read_header(folder: str | Path) -> ClipHeader:
 
 
 def read_name(folder: str | Path) -> str:
-    """Read the name of a clip, and check its ``clip.json`` and nothing else. Raises ``InputError``."""
+    """Read the name of a clip, checking only its ``clip.json``. Raises ``InputError``."""
     return _read_clip_fields(_resolve_clip_folder(folder))["name"]
 
 
 def input_sha256(folder: str | Path) -> str:
-    """Compute the checksum of a reconstruction's inputs: ``clip.json``, hands, mesh, evidence; not images, not truth.
+    """Compute the checksum of a reconstruction's inputs: ``clip.json``, hands, mesh, evidence; not images or truth.
 
-    Raises ``InputError`` where one of them is missing.
+    Raises ``InputError`` for a missing file.
     """
     folder = _resolve_clip_folder(folder)
     fields = _read_clip_fields(folder)
@@ -284,7 +271,7 @@ def _mesh_path(folder: Path, fields: ClipFields) -> Path:
 
 
 def _read_clip_fields(folder: Path) -> ClipFields:
-    """Read the fields of ``clip.json``: none missing or unknown, those of one text or number checked."""
+    """Read the fields of ``clip.json``: keys are complete and known, single texts and numbers are checked."""
     if not folder.is_dir():
         raise InputError(folder, "", "no such folder", "the folder of a clip")
     path = files.inside(folder, "clip.json", "", "the description of a clip")
@@ -302,11 +289,8 @@ def _read_clip_fields(folder: Path) -> ClipFields:
             raise InputError(path, key, files.shorten_value(fields[key]), expected)
 
     name, mesh, category, camera = fields["name"], fields["mesh"], fields["category"], fields["camera"]
-    require(
-        "name",
-        isinstance(name, str) and files.is_portable_name(name),
-        "a text that can name a folder: printable, no slash, at most 200 bytes",
-    )
+    can_name = isinstance(name, str) and files.is_portable_name(name)
+    require("name", can_name, "a text that can name a folder: printable, no slash, at most 200 bytes")
     require("category", isinstance(category, str) and category != "" and category.isprintable(), "a printable text")
     require("side", fields["side"] in ("left", "right"), '"left" or "right"')
     plausible = _is_float_number(fields["fps"]) and MIN_FPS <= fields["fps"] <= MAX_FPS
@@ -320,7 +304,7 @@ def _read_clip_fields(folder: Path) -> ClipFields:
 
 
 def _check_known_keys(path: Path, where: str, stored: dict[str, object], known: tuple[str, ...], version: int) -> None:
-    """Raise ``InputError`` for a key that a version does not have."""
+    """Raise ``InputError`` for a key unknown to a version."""
     unknown = next((key for key in stored if key not in known), None)
     if unknown is not None:
         expected = f"one of {', '.join(known)} (version {version})"
@@ -328,31 +312,29 @@ def _check_known_keys(path: Path, where: str, stored: dict[str, object], known: 
 
 
 def _is_float_number(value: object) -> bool:
-    """Return whether a JSON value is a number that a float can hold."""
+    """Return whether a JSON value is a number in the range of floats."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return abs(value) < 1e300 and math.isfinite(value)
 
 
 def _parse_image_size(path: Path, size: object) -> tuple[int, int]:
-    """Width and height [px]."""
+    """Parse width and height [px]."""
     sides = size if isinstance(size, list) else []
     if len(sides) != 2 or not all(type(side) is int and 0 < side <= MAX_CLIP_SIDE_PX for side in sides):
         expected = f"[width, height] in whole pixels, 1 to {MAX_CLIP_SIDE_PX} each"
         raise InputError(path, "size", files.shorten_value(size), expected)
     if sides[0] * sides[1] > MAX_CLIP_IMAGE_PIXELS:
-        raise InputError(
-            path, "size", files.shorten_value(size), f"at most {MAX_CLIP_IMAGE_PIXELS / 1e6:g} million pixels"
-        )
+        expected = f"at most {MAX_CLIP_IMAGE_PIXELS / 1e6:g} million pixels"
+        raise InputError(path, "size", files.shorten_value(size), expected)
     return sides[0], sides[1]
 
 
 SEGMENTS_SOURCE_KEY, CAMERA_POSE_KEY = "segments", "camera_pose"
 """Keys of a clip's provenance."""
 STATED_BY_USER = "as the user states"
-"""Who says that the camera did not move, where the command line does."""
+"""``SegmentList.still_camera`` for the command line's option."""
 MAX_TEXT_CHARACTERS = 500
-"""Characters of a text."""
 
 
 @dataclass(frozen=True)
@@ -360,11 +342,11 @@ class SegmentList:
     """The segments of one clip or video.
 
     Attributes:
-        path: the file, or what stands for it in errors.
-        key: what it is called in there.
-        rows: what ``clip.json`` would say of the segments; unchecked.
-        source: where they come from; None where nobody says.
-        still_camera: who says that the camera did not move; None where nobody does.
+        path: the file, or its place in errors.
+        key: key of the clip or video in the file.
+        rows: unchecked content of ``segments`` in ``clip.json``.
+        source: source of the segments; None if not stated.
+        still_camera: source of the statement that the camera did not move; None without a statement.
     """
 
     path: Path
@@ -375,28 +357,24 @@ class SegmentList:
 
     @staticmethod
     def of(clip: Clip, segments: Sequence[Segment], source: str, still_camera: str | None = None) -> SegmentList:
-        """Make a list of segments of a clip that were found or made here."""
+        """Make a list of a clip's segments that are in memory."""
         return SegmentList(clip.origin, "segments", segment_fields(segments, clip.frames), source, still_camera)
 
     @property
     def fields(self) -> dict[str, object]:
-        """The segments as a file holds them."""
+        """The entry in a file of segments."""
         about = {"source": self.source, "still_camera": self.still_camera}
         return {"segments": self.rows, **{key: text for key, text in about.items() if text is not None}}
 
     def at(self, frames: Sequence[str], has_world: bool) -> tuple[Segment, ...]:
-        """Return the segments in a clip with these frames, cut at its ends.
+        """Return the segments in a clip with these frames, cropped to it. Raises ``InputError`` if none is in it.
 
-        Raises ``InputError`` where none is in it.
-
-        Frames whose names are numbers are compared as numbers: ``"86"`` and ``"000086"`` are the same.
+        Frame names that are numbers are compared as numbers: ``"86"`` and ``"000086"`` are equal.
         """
         inside = [row for row in (_crop_segment(row, frames) for row in self.rows) if row is not None]
         if self.rows and not inside:
-            ends = [
-                files.shorten_value(row.get(end)) for row, end in ((self.rows[0], "first"), (self.rows[-1], "last"))
-            ]
-            listed = f"segments from {ends[0]} to {ends[1]}"
+            first, last = map(files.shorten_value, (self.rows[0].get("first"), self.rows[-1].get("last")))
+            listed = f"segments from {first} to {last}"
             raise InputError(self.path, self.key, listed, f"some of the frames {frames[0]} to {frames[-1]}")
         try:
             return read_segments(self.path, inside, frames, has_world)
@@ -406,7 +384,7 @@ class SegmentList:
 
 
 def read_segment_list(path: Path, names: Sequence[str]) -> SegmentList:
-    """Read the list of the first of ``names`` that a file has, or its only one. Raises ``InputError``."""
+    """Read the entry of the first of ``names`` in a file of segments, or its only entry. Raises ``InputError``."""
     content = files.read_json(path)
     key = next((name for name in names if name in content), None)
     if key is None and len(content) == 1:
@@ -416,21 +394,19 @@ def read_segment_list(path: Path, names: Sequence[str]) -> SegmentList:
         raise InputError(path, "", f"the segments of {there}", f"those of {' or '.join(names)}")
     entry = content[key]
     rows = entry.get("segments") if isinstance(entry, dict) else None
+    shown = files.printable(key)
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        raise InputError(
-            path, files.printable(key), files.shorten_value(entry), 'an object with "segments", a list of objects'
-        )
-    texts = [
-        _parse_segment_text(path, f"{files.printable(key)}.{name}", entry.get(name))
-        for name in ("source", "still_camera")
-    ]
-    return SegmentList(path, files.printable(key), rows, texts[0] or f"from {path.name}", texts[1])
+        raise InputError(path, shown, files.shorten_value(entry), 'an object with "segments", a list of objects')
+    source, still = (
+        _parse_segment_text(path, f"{shown}.{name}", entry.get(name)) for name in ("source", "still_camera")
+    )
+    return SegmentList(path, shown, rows, source or f"from {path.name}", still)
 
 
 def add_segments(clip: Clip, listed: SegmentList) -> Clip:
-    """Add segments to a clip and, where it has no camera pose, that of a camera that is said to stand still.
+    """Add segments to a clip and, if it has no camera poses, those of a camera stated to be still.
 
-    Raises ``InputError`` for segments that are malformed or not in the clip.
+    Raises ``InputError`` for segments that are malformed or outside the clip.
     """
     still = listed.still_camera if clip.world is None else None
     world = clip.world if still is None else World(np.tile(np.eye(4), (len(clip), 1, 1)))
@@ -440,16 +416,16 @@ def add_segments(clip: Clip, listed: SegmentList) -> Clip:
 
 
 def check_segments_replaceable(header: ClipHeader, overwrite: bool) -> None:
-    """Raise ``UsageError`` where a clip has segments that are not to be replaced."""
+    """Raise ``UsageError`` if a clip has segments, unless ``overwrite``."""
     if header.fields.get("segments") and not overwrite:
         raise UsageError(f"{header.folder / 'clip.json'}: has segments already; --overwrite replaces them")
 
 
 def write_clip_segments(header: ClipHeader, listed: SegmentList) -> tuple[Segment, ...]:
-    """Write segments into the ``clip.json`` of a folder, in the place of those that are there.
+    """Write segments into the ``clip.json`` of a folder, replacing older ones.
 
-    A camera pose stays as it is, unless it was itself a statement that the camera stands still. Raises ``InputError``
-    for segments that are malformed or not in the clip.
+    Camera poses stay unchanged, unless they came from a statement that the camera is still. Raises ``InputError`` for
+    segments that are malformed or outside the clip.
     """
     fields, camera = header.fields, header.fields["camera"]
     has_world = "T_world_cam" in camera and CAMERA_POSE_KEY not in fields["provenance"]
@@ -464,7 +440,7 @@ def write_clip_segments(header: ClipHeader, listed: SegmentList) -> tuple[Segmen
 
 
 def _segment_provenance(source: str | None, still_camera: str | None) -> dict[str, str]:
-    """Return the sources of segments, and of the pose of a camera that stands still."""
+    """Return the sources of segments, and of a still camera's poses."""
     still = None if still_camera is None else f"identity: the camera stands still, {still_camera}"
     return {key: text for key, text in ((SEGMENTS_SOURCE_KEY, source), (CAMERA_POSE_KEY, still)) if text is not None}
 
@@ -478,10 +454,7 @@ def _parse_segment_text(path: Path, key: str, value: object) -> str | None:
 
 
 def _crop_segment(row: Mapping[str, object], frames: Sequence[str]) -> Mapping[str, object] | None:
-    """Return a segment in the frames of a clip, cut at its ends; None outside.
-
-    Frames without a number stay as they are.
-    """
+    """Crop a segment to a clip's frames; None if it is outside. Segments of frames without numbers stay unchanged."""
     ends = [row.get("first"), row.get("last")]
     if not all(_is_frame_number(name) for name in (*ends, *frames)):
         return row

@@ -1,8 +1,6 @@
-"""Limits of plausible hands and objects before a camera.
+"""Read a clip's hands and ground truth, and check its arrays against plausible limits (docs/formats.md).
 
-Errors name the mistake that usually leads to what they cannot be.
-
-The hands and the ground truth of a clip from their files, every number checked. Formats: docs/formats.md.
+Errors name the most frequent cause of an implausible value.
 """
 
 from __future__ import annotations
@@ -27,19 +25,29 @@ from getagrip.io.files import shorten_value
 MIN_CAMERA_RANGE_M, MAX_CAMERA_RANGE_M = 0.05, 100.0
 """Plausible distances from the camera [m]. HaMeR's focal length puts the hands of a video at 20 to 70 m."""
 MIN_FPS, MAX_FPS = 0.001, 100_000.0
-"""Plausible frames per second."""
 MAX_CLIP_DURATION_S = 86_400.0
-"""Time that a clip can take [s]."""
 MAX_CAMERA_TRAVEL_M = 1000.0
-"""Farthest position of a camera from its first one [m]."""
+"""Maximum distance of a camera from its first position [m]."""
 MAX_WORLD_DISTANCE_M = 1e5
-"""Farthest position of a camera from the world's origin [m]: beyond, single precision does not hold a centimetre."""
+"""Maximum coordinate of a camera in the world [m]; beyond, single precision does not resolve a centimetre."""
 MAX_HAND_OFFSET_M = 0.25
-"""Largest distance of a hand's middle from the origin of the hand frame, which lies in the hand [m]."""
+"""Maximum distance of a hand's centre from the origin of the hand frame, which is in the hand [m]."""
+ASPECT_RATIO_TOLERANCE = 0.06
+"""Maximum difference between the log aspect ratios of an image and the clip's images: networks round sides to multiples
+of 14 or 32 pixels."""
+EXPECTED_HAND_FILE = "the hands of a clip, as getagrip import hands writes them"
+OTHER_HAND_FILE = "other_hand.npz"
+"""File of the other side's hand, in a clip's folder."""
+MAX_PALM_REGIONS, MAX_REGIONS_PER_VERTEX = 100, 8
+"""Maximum number of palm regions, and of regions per vertex on average."""
+TRUTH_JOINT_KEYS = ("joint_moves", "joint_point", "joint_direction", "joint_angle")
+"""Arrays of ``truth.npz`` on an articulated object's joint."""
+MAX_HINGE_DISTANCE_M = 2.0
+"""Maximum distance of a joint from the object's origin [m]."""
 
 
 def check_clip(clip: Clip) -> None:
-    """Raise ``InputError`` for what ``read_clip`` refuses in files: a clip may have been made of arrays instead."""
+    """Check a clip made of arrays as ``read_clip`` checks files. Raises ``InputError``."""
     path, mesh, hands = clip.origin, clip.mesh, [(clip.hand, clip.K)]
     if clip.other_hand is not None and clip.other_hand.known.any():
         known = np.flatnonzero(clip.other_hand.known)
@@ -60,7 +68,7 @@ def check_clip(clip: Clip) -> None:
 
 
 def check_hand(path: Path, hand: HandTrack) -> None:
-    """Raise ``InputError`` for hands of no hand's size, away from the origin, inside out, or not before the camera."""
+    """Raise ``InputError`` for hands of absurd size, away from the origin, inside out, or not before the camera."""
     if not hand.vertices.size:
         raise InputError(path, "vertices", "a hand without vertices", "its vertices in every frame")
     extent = np.ptp(hand.vertices, axis=1).max(axis=-1)
@@ -79,22 +87,17 @@ def check_hand(path: Path, hand: HandTrack) -> None:
         check_in_hand(path, "joints", hand.joints, "joints")
 
 
-ASPECT_RATIO_TOLERANCE = 0.06
-"""Largest difference of an image's shape from that of the clip's images: networks round sides to multiples of 14 or 32
-pixels."""
-
-
 def check_shape(
     path: Path, key: str, size: tuple[int, int], of_clip: tuple[int, int], stretch: float = ASPECT_RATIO_TOLERANCE
 ) -> None:
-    """Raise ``InputError`` for images (width, height) of another shape than the clip's, as cropped or turned ones."""
+    """Raise ``InputError`` for an image of another aspect ratio than the clip's: cropped or turned (width, height)."""
     if min(size) < 1 or abs(math.log(size[0] / size[1] * of_clip[1] / of_clip[0])) > stretch:
         expected = f"the shape of the clip's images, {of_clip[0]} x {of_clip[1]}: neither cropped nor turned"
         raise InputError(path, key, f"{size[0]} x {size[1]} pixels", expected)
 
 
 def check_intrinsics(path: Path, K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> None:
-    """Raise ``InputError`` for matrices that are no pinhole's with square-on pixels, or not of such an image."""
+    """Raise ``InputError`` for matrices that are not a pinhole camera's without shear, or not of images of ``size``."""
     image = f"a {size[0]} x {size[1]} image"
     focal, centre = K[:, [0, 1], [0, 1]], K[:, :2, 2]
     if not np.all(focal > 0):
@@ -116,7 +119,7 @@ def check_intrinsics(path: Path, K: Float[ndarray, "T 3 3"], size: tuple[int, in
 
 
 def check_times(path: Path, times: Float[ndarray, "T"], frames: Sequence[str]) -> None:
-    """Raise ``InputError`` for times [s] that do not rise, or that take longer than a clip can."""
+    """Raise ``InputError`` for times [s] that do not rise, or span more than ``MAX_CLIP_DURATION_S``."""
     steps = np.diff(times)
     rises = steps > 0.0
     if not rises.all():
@@ -133,7 +136,7 @@ def check_times(path: Path, times: Float[ndarray, "T"], frames: Sequence[str]) -
 
 
 def check_camera_poses(path: Path, T_world_cam: Float[ndarray, "T 4 4"], frames: Sequence[str]) -> None:
-    """Raise ``InputError`` for motions that are not rigid, or that are too far from the origin or the first place."""
+    """Raise ``InputError`` for camera poses that are not rigid, or too far from the origin or the first one."""
     with np.errstate(over="ignore", invalid="ignore"):
         rigid = se3.is_rigid(T_world_cam)
         apart = np.linalg.norm(T_world_cam[:, :3, 3] - T_world_cam[0, :3, 3], axis=1)
@@ -155,7 +158,7 @@ def check_camera_poses(path: Path, T_world_cam: Float[ndarray, "T 4 4"], frames:
 def check_poses(
     path: Path, key: str, T_cam: Float[ndarray, "T 4 4"], centres: Float[ndarray, "T 3"], what: str
 ) -> None:
-    """Raise ``InputError`` for motions that are not rigid, or that put a centre behind the camera or too far away."""
+    """Raise ``InputError`` for poses that are not rigid, or with a centre behind the camera or too far away."""
     with np.errstate(over="ignore", invalid="ignore"):
         rigid = se3.is_rigid(T_cam)
         posed = se3.transform(T_cam, centres[:, None])[:, 0]
@@ -178,19 +181,18 @@ def check_poses(
 
 
 def check_in_hand(path: Path, key: str, points: Float[ndarray, "T P 3"], what: str) -> None:
-    """Raise ``InputError`` where points of a hand are not about the origin of its frame."""
+    """Raise ``InputError`` for points of a hand that are far from the origin of its frame."""
     distance = np.linalg.norm(points.mean(axis=1), axis=1)
     if distance.max() > MAX_HAND_OFFSET_M:
         n = int(np.argmax(distance))
         got = f"{what} {distance[n]:.2g} m from the origin of the hand frame in frame {n}"
-        expected = (
-            f"at most {MAX_HAND_OFFSET_M:g} m; are these camera coordinates, to which T_cam_hand would apply again?"
-        )
+        advice = "are these camera coordinates, to which T_cam_hand would apply again?"
+        expected = f"at most {MAX_HAND_OFFSET_M:g} m; {advice}"
         raise InputError(path, key, got, expected)
 
 
 def check_in_view(path: Path, hand: HandTrack, K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> None:
-    """Raise ``InputError`` for a hand that is outside the image in every frame."""
+    """Raise ``InputError`` for a hand outside the image in every frame."""
     posed = se3.transform(hand.T_cam_hand, hand.vertices)
     before = posed[..., 2] > MIN_CAMERA_RANGE_M / 10.0
     uv = project(K, np.where(before[..., None], posed, [0.0, 0.0, 1.0]))
@@ -199,31 +201,17 @@ def check_in_view(path: Path, hand: HandTrack, K: Float[ndarray, "T 3 3"], size:
     if not np.any(np.all((high > 0) & (low < size), axis=1)):
         centre = posed[:1].mean(axis=1, keepdims=True)
         u, v = project(K[:1], centre)[0, 0]
-        where = (
-            f"at u = {u:.0f}, v = {v:.0f} px" if centre[0, 0, 2] > 0 else f"{-centre[0, 0, 2]:.2g} m behind the camera"
-        )
+        z = centre[0, 0, 2]
+        where = f"at u = {u:.0f}, v = {v:.0f} px" if z > 0 else f"{-z:.2g} m behind the camera"
         got = f"a hand outside the image in every frame (in the first {where})"
         expected = f"a hand in the {size[0]} x {size[1]} image; do T_cam_hand and clip.json's camera belong together?"
         raise InputError(path, "T_cam_hand", got, expected)
 
 
-EXPECTED_HAND_FILE = "the hands of a clip, as getagrip import hands writes them"
-OTHER_HAND_FILE = "other_hand.npz"
-"""The hand of the other side, in a clip's folder."""
-MAX_PALM_REGIONS, MAX_REGIONS_PER_VERTEX = 100, 8
-"""Limits of a hand: areas of the palm, and the mean number of regions that a vertex is in."""
-TRUTH_JOINT_KEYS = ("joint_moves", "joint_point", "joint_direction", "joint_angle")
-"""Arrays of the truth about an articulated object's joint."""
-MAX_HINGE_DISTANCE_M = 2.0
-"""Plausible distance of a joint from the object's origin [m]."""
-
-
 def frames_with_hand(path: Path, frames: tuple[str, ...]) -> Int[ndarray, "n"]:
-    """Return the indices of the frames of a ``hand.npz``: those that it names, else all.
+    """Return the indices of the frames named in a ``hand.npz``; all without names. Raises ``InputError``.
 
-    Raises ``InputError``.
-
-    Numbers instead of names are passed over: in a hand file they are those of the footage.
+    Numbers instead of names are ignored: in a hand file they are frame numbers of the footage.
     """
     stored = arrays.read(path, {"frames"}.__contains__).get("frames", np.arange(0))
     if stored.dtype.kind != "U":
@@ -231,7 +219,7 @@ def frames_with_hand(path: Path, frames: tuple[str, ...]) -> Int[ndarray, "n"]:
     expected = "names of frames of the clip, in its order, each once"
     try:
         names = [str(name) for name in stored.ravel()]
-    except ValueError as error:  # code points that do not exist
+    except ValueError as error:  # invalid code points
         raise InputError(path, "frames", "a damaged text", expected) from error
     row_of = {name: row for row, name in enumerate(frames)}
     unknown = next((name for name in names if name not in row_of), None)
@@ -252,9 +240,8 @@ def read_hand(path: Path, frames: int) -> HandTrack:
     T_cam_hand = arrays.floats(path, stored, "T_cam_hand", (frames, 4, 4))
     joints = arrays.floats(path, stored, "joints", (frames, 21, 3)) if "joints" in stored else None
     seen = _parse_joints_2d(path, stored, frames) if "joints_2d" in stored else (None, None)
-    hand = HandTrack(
-        vertices, faces, T_cam_hand, _parse_contact_regions(path, stored, vertices.shape[1]), joints, *seen
-    )
+    regions = _parse_contact_regions(path, stored, vertices.shape[1])
+    hand = HandTrack(vertices, faces, T_cam_hand, regions, joints, *seen)
     check_hand(path, hand)
     return hand
 
@@ -262,7 +249,7 @@ def read_hand(path: Path, frames: int) -> HandTrack:
 def _parse_joints_2d(
     path: Path, stored: dict[str, ndarray], frames: int
 ) -> tuple[Float[ndarray, "T 21 2"], Float[ndarray, "T 21"]]:
-    """Joints as seen in the images, and their confidence; 1 where the file does not say."""
+    """Parse joints in the images [px], and their confidence, by default 1."""
     points = arrays.floats(path, stored, "joints_2d", (frames, 21, 2))
     if "joints_2d_confidence" not in stored:
         return points, np.ones((frames, 21))
@@ -274,7 +261,7 @@ def _parse_joints_2d(
 
 
 def _parse_contact_regions(path: Path, stored: dict[str, ndarray], count: int) -> dict[str, Int[ndarray, "_"]]:
-    """Contact regions of a hand; they cannot be found from a bare mesh."""
+    """Parse the contact regions of a hand, which a mesh alone does not determine."""
     missing = [f"region_{finger}" for finger in FINGERS if f"region_{finger}" not in stored]
     if missing:
         expected = f"{', '.join(missing)}: the vertex ids of each fingertip's pad"
@@ -293,26 +280,23 @@ def _parse_contact_regions(path: Path, stored: dict[str, ndarray], count: int) -
 def read_other_hand(
     folder: Path, frames: tuple[str, ...], rows: Int[ndarray, "n"], K: Float[ndarray, "n 3 3"], size: tuple[int, int]
 ) -> OtherHand | None:
-    """Read the hand of the other side in the clip's frames ``rows``, where there is a file of it.
-
-    Raises ``InputError``.
-    """
+    """Read the other side's hand in the clip's frames ``rows``; None without its file. Raises ``InputError``."""
     path = folder / OTHER_HAND_FILE
     if not path.exists() and not path.is_symlink():
         return None
     path = files.inside(folder, OTHER_HAND_FILE, "", EXPECTED_HAND_FILE)
-    there = frames_with_hand(path, frames)
-    hand = read_hand(path, len(there))
-    _, here, found = np.intersect1d(rows, there, return_indices=True)
+    stored = frames_with_hand(path, frames)
+    hand = read_hand(path, len(stored))
+    _, here, found = np.intersect1d(rows, stored, return_indices=True)
     if not len(here):
         expected = "the hand in one of the frames at least in which hand.npz has the clip's own"
-        raise InputError(path, "frames", f"{len(there)} frames, and none of these", expected)
+        raise InputError(path, "frames", f"{len(stored)} frames, and none of these", expected)
     check_in_view(path, hand.take(found), K[here], size)
     return OtherHand.at(hand.take(found), here, len(rows))
 
 
 def read_truth(folder: Path, hand: HandTrack, scale: str, mesh: Mesh) -> Truth:
-    """Read a clip's ``truth.npz``; what it leaves out is the clip's own. Raises ``InputError``."""
+    """Read a clip's ``truth.npz``; the clip's own data stands for missing arrays. Raises ``InputError``."""
     path = files.inside(folder, "truth.npz", "", "the truth of a clip")
     named = ("T_cam_obj", "scale", "T_cam_hand", "hand_vertices", "articulation", *TRUTH_JOINT_KEYS)
     stored = arrays.read(path, lambda key: key in named)
@@ -345,26 +329,22 @@ def read_truth(folder: Path, hand: HandTrack, scale: str, mesh: Mesh) -> Truth:
 
 
 def _parse_object_joint(path: Path, stored: dict[str, ndarray], mesh: Mesh) -> Joint:
-    """Parse the joint of an articulated object; it needs the articulation of each frame, too."""
+    """Parse the joint of an articulated object, which also needs the articulation of each frame."""
     missing = next((key for key in ("articulation", *TRUTH_JOINT_KEYS) if key not in stored), None)
     if missing is not None:
-        raise InputError(
-            path, missing, "no such array", f"all of articulation, {', '.join(TRUTH_JOINT_KEYS)}, or none of the last"
-        )
+        expected = f"all of articulation, {', '.join(TRUTH_JOINT_KEYS)}, or none of the last"
+        raise InputError(path, missing, "no such array", expected)
     moves = stored["joint_moves"]
     if moves.dtype != bool or moves.shape != (len(mesh.vertices),):
         expected = f"true or false for each of the {len(mesh.vertices)} vertices of the mesh"
         raise InputError(path, "joint_moves", f"{moves.dtype} of shape {moves.shape}", expected)
     point, direction = (arrays.floats(path, stored, key, (3,)) for key in ("joint_point", "joint_direction"))
     if not np.linalg.norm(point) < MAX_HINGE_DISTANCE_M:
-        input_point = f"a point {np.linalg.norm(point):.4g} m from the object's origin"
-        raise InputError(
-            path, "joint_point", input_point, f"less than {MAX_HINGE_DISTANCE_M:g} m; are these millimetres?"
-        )
-    if abs(np.linalg.norm(direction) - 1.0) > 1e-6:
-        raise InputError(
-            path, "joint_direction", f"the length {np.linalg.norm(direction):g}", "a direction of length 1"
-        )
+        got = f"a point {np.linalg.norm(point):.4g} m from the object's origin"
+        raise InputError(path, "joint_point", got, f"less than {MAX_HINGE_DISTANCE_M:g} m; are these millimetres?")
+    length = np.linalg.norm(direction)
+    if abs(length - 1.0) > 1e-6:
+        raise InputError(path, "joint_direction", f"the length {length:g}", "a direction of length 1")
     angle = float(arrays.floats(path, stored, "joint_angle", ()))
     if abs(angle) > 2.0 * np.pi:
         raise InputError(path, "joint_angle", f"{angle:g}", "at most a full turn [rad]; are these degrees?")

@@ -1,7 +1,7 @@
-"""Segments of a timeline: what the object of a clip does from frame to frame, from table to hand and back.
+"""Segments of a timeline: the state of a clip's object in each interval of frames, from table to hand and back.
 
-In a stable grasp (Eq. 2) the object turns in the hand about one axis, nearly. Before and after it, the object lies
-still in the world, moves in an unstable contact with a hand, or moves by itself. Frames of no segment are unknown.
+In a stable grasp (Eq. 2) the object turns in the hand, nearly about one axis. Before and after it, the object is static
+in the world, moves in an unstable contact with a hand, or moves freely. Frames outside all segments are unknown.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 
 State = Literal["static", "contact", "grasp", "free"]
-"""Still in the world; in unstable contact with a hand; in a stable grasp; moving without a hand."""
+"""Static in the world; in unstable contact with a hand; in a stable grasp; moving without a hand."""
 Side = Literal["left", "right"]
 SIDES: tuple[Side, ...] = get_args(Side)
 STATES: tuple[State, ...] = get_args(State)
@@ -30,12 +30,12 @@ SEGMENT_FORMAT = '{"state": "static", "first": "000001", "last": "000030"}, and 
 
 @dataclass(frozen=True)
 class Segment:
-    """Some frames of a clip in which the object's state is the same.
+    """An interval of a clip's frames with one state of the object.
 
     Attributes:
-        state: what the object does.
-        first: its first frame, counted from 0 in the clip.
-        last: its last frame, included.
+        state: the object's state.
+        first: the first frame, counted from 0 in the clip.
+        last: the last frame, included.
         side: the hand that touches the object, ``left`` or ``right``: required for a grasp, optional for an unstable
             contact, None in the other states.
     """
@@ -60,12 +60,12 @@ class Segment:
 
     @property
     def rows(self) -> Int[ndarray, "n"]:
-        """Its frames."""
+        """Indices of the frames."""
         return np.arange(self.first, self.last + 1)
 
 
 def expected_side(state: State, side: object) -> str | None:
-    """Return the expected side of a segment; None where its side is right."""
+    """Describe the expected side of a segment; None if ``side`` is valid."""
     if state in ("static", "free"):
         return None if side is None else f"none: no hand moves an object that is {state}"
     if side is None and state == "contact":
@@ -74,7 +74,7 @@ def expected_side(state: State, side: object) -> str | None:
 
 
 def check_segments(segments: Sequence[Segment], frames: int, has_world: bool) -> None:
-    """Raise ``UsageError`` for segments that overlap, are not in order or leave the clip, or lie in no known world."""
+    """Raise ``UsageError`` for segments that overlap, are unordered or outside the clip, or static without a world."""
     for n, segment in enumerate(segments):
         got = f"frames {segment.first} to {segment.last}"
         if segment.last >= frames:
@@ -86,19 +86,16 @@ def check_segments(segments: Sequence[Segment], frames: int, has_world: bool) ->
 
 
 def at_frames(segments: Sequence[Segment], index: Int[ndarray, "n"]) -> tuple[Segment, ...]:
-    """Return the segments of a clip in some of its frames; none where these are not in the clip's order."""
+    """Return the segments of a clip at some of its frames; none if these are not in the clip's order."""
     if np.any(np.diff(index) <= 0):
         return ()
     bounds = [np.searchsorted(index, [s.first, s.last + 1]) for s in segments]
-    return tuple(
-        replace(segment, first=int(first), last=int(end) - 1)
-        for segment, (first, end) in zip(segments, bounds, strict=True)
-        if end > first
-    )
+    pairs = zip(segments, bounds, strict=True)
+    return tuple(replace(s, first=int(first), last=int(end) - 1) for s, (first, end) in pairs if end > first)
 
 
 def read_segments(path: Path, value: object, frames: Sequence[str], has_world: bool) -> tuple[Segment, ...]:
-    """Parse the ``segments`` of a ``clip.json``, which name their frames. Raises ``InputError``."""
+    """Parse the ``segments`` of a ``clip.json``, given by frame names. Raises ``InputError``."""
     if not isinstance(value, list) or not all(isinstance(row, dict) for row in value):
         raise InputError(path, "segments", files.shorten_value(value), f"a list of {SEGMENT_FORMAT}")
     row_of = {name: row for row, name in enumerate(frames)}
@@ -118,18 +115,17 @@ def read_segments(path: Path, value: object, frames: Sequence[str], has_world: b
 def _read_segment(path: Path, key: str, fields: files.Json, row_of: dict[str, int]) -> Segment:
     unknown = next((name for name in fields if name not in SEGMENT_KEYS), None)
     if unknown is not None:
-        raise InputError(
-            path, f"{key}.{files.printable(unknown)}", "an unknown key", f"one of {', '.join(SEGMENT_KEYS)}"
-        )
+        expected = f"one of {', '.join(SEGMENT_KEYS)}"
+        raise InputError(path, f"{key}.{files.printable(unknown)}", "an unknown key", expected)
     missing = next((name for name in SEGMENT_KEYS[:3] if name not in fields), None)
     if missing is not None:
         raise InputError(path, f"{key}.{missing}", "no such key", SEGMENT_FORMAT)
     state, side = fields["state"], fields.get("side")
     if state not in STATES:
         raise InputError(path, f"{key}.state", files.shorten_value(state), f"one of {', '.join(STATES)}")
-    expected = expected_side(state, side)
-    if expected:
-        raise InputError(path, f"{key}.side", files.shorten_value(side), expected)
+    wrong = expected_side(state, side)
+    if wrong:
+        raise InputError(path, f"{key}.side", files.shorten_value(side), wrong)
     rows = []
     for end in ("first", "last"):
         name = fields[end]
@@ -143,13 +139,7 @@ def _read_segment(path: Path, key: str, fields: files.Json, row_of: dict[str, in
 
 
 def segment_fields(segments: Sequence[Segment], frames: Sequence[str]) -> list[dict[str, str]]:
-    """Return the segments as ``clip.json`` holds them."""
-    return [
-        {
-            "state": s.state,
-            "first": frames[s.first],
-            "last": frames[s.last],
-            **({} if s.side is None else {"side": s.side}),
-        }
-        for s in segments
-    ]
+    """Return the content of ``segments`` in ``clip.json``."""
+    sides = [{} if s.side is None else {"side": s.side} for s in segments]
+    ends = [{"state": s.state, "first": frames[s.first], "last": frames[s.last]} for s in segments]
+    return [{**fields, **side} for fields, side in zip(ends, sides, strict=True)]

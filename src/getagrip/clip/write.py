@@ -1,4 +1,4 @@
-"""Clips into folders, complete or not at all. The format is in docs/formats.md."""
+"""Write clips into folders, completely or not at all (docs/formats.md)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def write_clip(
         folder: the folder to make.
         images: RGB images, one for each frame, written as JPEG; None to write none.
         replace: replace a clip that is in ``folder`` already.
-        hand: a hand that is known in some frames only, and the indices of these frames, instead of ``clip.hand``.
+        hand: a hand known in some frames only, and the indices of these frames, instead of ``clip.hand``.
 
     Returns:
         The folder.
@@ -80,25 +80,23 @@ def write_clip_contents(
 
 
 def write_hand(hand: HandTrack, path: Path, extra: Mapping[str, Shaped[ndarray, "..."]] | None = None) -> None:
-    """Write the hands of a clip, and arrays that a clip's reader passes over."""
+    """Write the hands of a clip, and ``extra`` arrays, which a clip's reader ignores."""
     regions = {f"region_{name}": ids for name, ids in hand.regions.items()}
     joints = {} if hand.joints is None else {"joints": hand.joints}
     if hand.joints_2d is not None and hand.joints_2d_confidence is not None:
         joints |= {"joints_2d": hand.joints_2d, "joints_2d_confidence": hand.joints_2d_confidence}
-    T_cam_hand = {"T_cam_hand": hand.T_cam_hand}
-    arrays.write(
-        path, {"vertices": hand.vertices, "faces": hand.faces} | T_cam_hand | joints | regions | dict(extra or {})
-    )
+    surface = {"vertices": hand.vertices, "faces": hand.faces, "T_cam_hand": hand.T_cam_hand}
+    arrays.write(path, surface | joints | regions | dict(extra or {}))
 
 
 def write_hand_at(hand: HandTrack, frames: Sequence[str], rows: Sequence[int], path: Path) -> None:
-    """Write the hands of some of a clip's frames, by their ``rows``. The file names the frames unless these are all."""
+    """Write the hands of a clip's frames ``rows``; the file names the frames unless these are all."""
     partial = {"frames": np.array([frames[row] for row in rows])} if len(rows) < len(frames) else None
     write_hand(hand, path, partial)
 
 
 def missing_hand_provenance(frames: Sequence[str], rows: Sequence[int]) -> dict[str, str]:
-    """Return the provenance of a clip where only the frames ``rows`` have a hand; nothing where all have one."""
+    """Return the provenance of frames without a hand, given the frames ``rows`` with one; empty if all have one."""
     missing = [name for row, name in enumerate(frames) if row not in {*rows}]
     return {FRAMES_WITHOUT_HAND: f"left out until they have one: {', '.join(missing)}"} if missing else {}
 
@@ -126,13 +124,13 @@ def _clip_json_fields(clip: Clip) -> dict[str, object]:
     }
 
 
-def _collapse_constant(of_frames: Float[ndarray, "T n n"]) -> Float[ndarray, "..."]:
-    """One matrix for all frames, where all are the same."""
-    return of_frames[0] if np.array_equal(of_frames, np.broadcast_to(of_frames[:1], of_frames.shape)) else of_frames
+def _collapse_constant(matrices: Float[ndarray, "T n n"]) -> Float[ndarray, "..."]:
+    """Return one matrix if those of all frames are equal; else all."""
+    return matrices[0] if np.array_equal(matrices, np.broadcast_to(matrices[:1], matrices.shape)) else matrices
 
 
 def _truth_arrays(clip: Clip, truth: Truth) -> dict[str, Shaped[ndarray, "..."]]:
-    """Return the arrays of the ground truth, of the hand only those that differ from the clip's."""
+    """Return the arrays of the ground truth; the hand's only if they differ from the clip's."""
     out: dict[str, ndarray] = {"T_cam_obj": truth.T_cam_obj, "scale": np.array(truth.scale)}
     if not np.array_equal(truth.T_cam_hand, clip.hand.T_cam_hand):
         out["T_cam_hand"] = truth.T_cam_hand

@@ -26,7 +26,7 @@ from getagrip.io.plugins import PluginTable
 __all__ = ["EXPORT_FORMATS", "Scene", "export"]
 
 Write = Callable[[Scene, Path], dict[str, str]]
-"""Writes a scene's files into an empty folder; returns what each file holds, with units and axes."""
+"""Function that writes a scene into an empty folder, and describes each file: content, units and axes."""
 
 _FORMATS: dict[str, Write] = {
     "csv": poses_csv.write,
@@ -46,9 +46,9 @@ ABOUT_FILE = "about.json"
 
 
 def export(scene: Scene, folder: str | Path, to: str, overwrite: bool = False) -> Path:
-    """Write a scene in one of ``EXPORT_FORMATS`` into a folder, with ``about.json``: files, units, axes, times and notes.
+    """Write a scene into a folder in the format ``to``, with ``about.json``: files, units, axes, times and notes.
 
-    Raises ``UsageError`` for an unknown format, or where the folder exists and may not be replaced.
+    Raises ``UsageError`` for a format that ``EXPORT_FORMATS`` lacks, and for an existing folder unless ``overwrite``.
     """
     if to not in EXPORT_FORMATS:
         raise unknown_choice_error("--to", to, EXPORT_FORMATS)

@@ -1,4 +1,4 @@
-"""npz: every array, named by its frames."""
+"""npz: all arrays of a scene in one file, named by their frames."""
 
 from __future__ import annotations
 

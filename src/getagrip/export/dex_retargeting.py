@@ -1,9 +1,9 @@
 """dex-retargeting (Qin et al.; https://github.com/dexsuite/dex-retargeting): 21 joints and object poses, z up.
 
 Its examples take joints in the order of this package. ``joint_pos`` are positions [m] for position retargeting, with
-``wrist_quat`` (w, x, y, z), MANO's global rotation, to start from. ``joint_pos_wrist`` are the joints from the wrist,
-in the frame of the palm that its detector has, for vector retargeting. ``object_pose`` is a quaternion (x, y, z, w) and
-a position, as in DexYCB, in the frame of ``joint_pos``; its ``extrinsics`` are therefore the identity.
+the initial ``wrist_quat`` (w, x, y, z), MANO's global rotation. ``joint_pos_wrist`` are the joints relative to the
+wrist, in the palm frame of its detector, for vector retargeting. ``object_pose`` is a quaternion (x, y, z, w) and a
+position, as in DexYCB, in the frame of ``joint_pos``; ``extrinsics`` are therefore the identity.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ TRAJECTORY_FILE, OBJECT_MESH_FILE = "trajectory.npz", "object.obj"
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
-    """Write ``trajectory.npz`` and the object. Raises ``UsageError`` where joints are not known."""
+    """Write ``trajectory.npz`` and the object. Raises ``UsageError`` for a hand without joints."""
     stage = StageFrame.of(scene)
     joints = joints_on_stage(scene, stage, "dex-retargeting")
     T_stage_obj, T_stage_hand = stage.poses(scene)
+    R_stage_palm = palm_orientation(joints, scene.side, MIDDLE_KNUCKLE_JOINT)
     content = {
         "joint_pos": joints,
-        "joint_pos_wrist": (joints - joints[:, WRIST_JOINT, None])
-        @ palm_orientation(joints, scene.side, MIDDLE_KNUCKLE_JOINT),
+        "joint_pos_wrist": (joints - joints[:, WRIST_JOINT, None]) @ R_stage_palm,
         "wrist_quat": se3.quaternions_in_time(T_stage_hand[:, :3, :3]),
         "object_pose": pose7(T_stage_obj, "xyzw")[:, None],
         "extrinsics": np.eye(4),
@@ -49,7 +49,6 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     }
     arrays.write(folder / TRAJECTORY_FILE, content)
     write_mesh(scene.object, folder / OBJECT_MESH_FILE)
-    return {
-        TRAJECTORY_FILE: f"joint_pos (T, 21, 3), object_pose (T, 1, 7): quaternion (x, y, z, w), position; {stage.words}",
-        OBJECT_MESH_FILE: "the object at the size that was found; metres",
-    }
+    arrays_in_words = "joint_pos (T, 21, 3), object_pose (T, 1, 7): quaternion (x, y, z, w), position"
+    mesh_in_words = "the object at its estimated size; metres"
+    return {TRAJECTORY_FILE: f"{arrays_in_words}; {stage.words}", OBJECT_MESH_FILE: mesh_in_words}

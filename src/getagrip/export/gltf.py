@@ -1,8 +1,8 @@
 """glTF: one binary file with the object's node and the hands' animated, for Blender and browsers.
 
-glTF's axes are x right, y up, z towards the viewer; a root node turns the camera frame there. The object's node and the
-hands' have a translation [m] and a rotation (x, y, z, w) at each time [s]; a hand's bending is a chain of morph
-targets, one for each frame, of which one at a time has the weight 1. While a hand is not known, its scale is 0.
+glTF's axes are x right, y up, z towards the viewer; a root node turns the camera frame to them. The nodes of object and
+hands have a translation [m] and a rotation (x, y, z, w) at each time [s]; a hand's articulation is a chain of morph
+targets, one per frame, with weight 1 in its frame. In frames without a hand the scale of its node is 0.
 """
 
 from __future__ import annotations
@@ -63,24 +63,17 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
 
 def _morph_displacements(hand: ExportedHand) -> Float[ndarray, "S V 3"]:
-    """How a hand differs from the first frame in each; of a stiff one nothing."""
+    """Return the vertices' displacements from the first frame; empty for a rigid hand."""
     bent = hand.vertices - hand.vertices[0]
     return bent if np.abs(bent).max() > 1e-7 else bent[:0]
 
 
 def _extras(scene: Scene) -> dict[str, object]:
-    """Return the fields that glTF has no place for: frames, their times and kinds, notes."""
-    return {
-        "units": "metres",
-        "frames": list(scene.frames),
-        "time_s": scene.time.tolist(),
-        "frame_kind": list(scene.frame_kind),
-        "notes": list(scene.notes),
-    }
+    about = {"frames": list(scene.frames), "time_s": scene.time.tolist(), "frame_kind": list(scene.frame_kind)}
+    return {"units": "metres", **about, "notes": list(scene.notes)}
 
 
 def _quaternions_xyzw(T: Float[ndarray, "T 4 4"]) -> Shaped[ndarray, "T 4"]:
-    """Quaternions (x, y, z, w)."""
     return np.roll(se3.quaternions_in_time(T[:, :3, :3]), -1, axis=1).astype(np.float32)
 
 
@@ -92,7 +85,6 @@ def _gltf_mesh(
     material: int,
     moved: Float[ndarray, "S V 3"] | None = None,
 ) -> pygltflib.Mesh:
-    """Make a mesh; ``moved`` are the displacements of its morph targets."""
     from pygltflib import Attributes, Mesh, Primitive
 
     value = Attributes(
@@ -107,7 +99,7 @@ def _gltf_mesh(
 
 
 def _strictly_rising_seconds(time: Float[ndarray, "T"]) -> Float32[ndarray, "T"]:
-    """Seconds since the first frame, which rise from frame to frame in single precision, too, as glTF demands."""
+    """Return seconds since the first frame, strictly rising in single precision, as glTF demands."""
     out = (time - time[0]).astype(np.float32)
     for n in range(1, len(out)):
         out[n] = max(out[n], np.nextafter(out[n - 1], np.float32(np.inf)))
@@ -117,7 +109,6 @@ def _strictly_rising_seconds(time: Float[ndarray, "T"]) -> Float32[ndarray, "T"]
 def _add_channel(
     animation: pygltflib.Animation, time: int, values: int, node: int, path: str, between: str = "LINEAR"
 ) -> None:
-    """Let a node's property go through values."""
     from pygltflib import AnimationChannel, AnimationChannelTarget, AnimationSampler
 
     sampler = AnimationSampler(input=time, output=values, interpolation=between)
@@ -127,7 +118,7 @@ def _add_channel(
 
 
 class _Buffers:
-    """Arrays one after another in the file's binary part."""
+    """The file's binary part: arrays one after another."""
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
@@ -136,7 +127,7 @@ class _Buffers:
         self._size = 0
 
     def add(self, values: Shaped[ndarray, "..."], bounds: bool = False, corners: bool = False) -> int:
-        """Add an array of float32, or of uint32 (``corners``), and return the number of its accessor."""
+        """Add an array of float32, or of uint32 (``corners``), and return the index of its accessor."""
         import pygltflib as gltf
 
         content = np.ascontiguousarray(values).tobytes()
@@ -152,12 +143,12 @@ class _Buffers:
         if bounds:
             accessor.min, accessor.max = rows.min(axis=0).tolist(), rows.max(axis=0).tolist()
         self._accessors.append(accessor)
-        self._parts.append(content)  # each a multiple of four bytes, as glTF wants it
+        self._parts.append(content)  # a multiple of four bytes, as glTF demands
         self._size += len(content)
         return len(self._accessors) - 1
 
     def into(self, gltf: pygltflib.GLTF2) -> None:
-        """Put all into a file."""
+        """Put all arrays into a file."""
         from pygltflib import Buffer
 
         gltf.buffers = [Buffer(byteLength=self._size)]

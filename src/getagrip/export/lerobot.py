@@ -1,12 +1,12 @@
 """LeRobot: a dataset, version 3.0, of one episode (https://github.com/huggingface/lerobot); many: ``lerobot_dataset``.
 
 Each frame has the wrist's pose and the 21 joints (``observation.state``) and the object's pose
-(``observation.environment_state``) in a frame that stands still, z up; quaternions are (w, x, y, z). A person gives no
-commands: ``action`` is the state of the next frame. LeRobot takes frames as evenly spaced: ``timestamp`` is n / fps, at
-the clip's own rate as a whole number, and uneven clips are resampled; ``time_s`` is the clip's own time. Images, if
-there is one for every frame, are a video. ``confidence`` is the probability that the result is right relative to the
-hand, -1 where none is calibrated; ``findings_serious`` counts serious findings, of which a right result has none;
-``mask_iou`` is how well each frame meets its mask, -1 where none shows the object.
+(``observation.environment_state``) in the stage frame (z up); quaternions are (w, x, y, z). People give no commands:
+``action`` is the state of the next frame. LeRobot assumes evenly spaced frames: ``timestamp`` is n / fps, at the clip's
+rate rounded to a whole number, and uneven clips are resampled; ``time_s`` is the clip's own time. Images, if every
+frame has one, are a video. ``confidence`` is the calibrated probability that the result is right relative to the hand,
+else -1; ``findings_serious`` the number of serious findings, 0 for a right result; ``mask_iou`` the mask IOU of the
+frame, -1 without a mask that shows the object.
 """
 
 from __future__ import annotations
@@ -30,26 +30,30 @@ if TYPE_CHECKING:
     import pyarrow
 
 LEROBOT_VERSION = "v3.0"
-FIRST_CHUNK, CHUNK_FILE_PATTERN = {"chunk_index": 0, "file_index": 0}, "chunk-{chunk_index:03d}/file-{file_index:03d}"
-DATA_FILE_PATTERN, EPISODES_FILE_PATTERN = (
-    f"data/{CHUNK_FILE_PATTERN}.parquet",
-    f"meta/episodes/{CHUNK_FILE_PATTERN}.parquet",
-)
+CHUNK_FILE_PATTERN = "chunk-{chunk_index:03d}/file-{file_index:03d}"
+DATA_FILE_PATTERN = f"data/{CHUNK_FILE_PATTERN}.parquet"
+EPISODES_FILE_PATTERN = f"meta/episodes/{CHUNK_FILE_PATTERN}.parquet"
 VIDEO_FILE_PATTERN, CAMERA_FEATURE = "videos/{video_key}/" + f"{CHUNK_FILE_PATTERN}.mp4", "observation.images.camera"
 POSE_COMPONENTS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 STATE_COMPONENTS = [
     *(f"wrist_{name}" for name in POSE_COMPONENTS),
     *(f"{joint}_{axis}" for joint in HAND_JOINT_NAMES for axis in "xyz"),
 ]
+COMPONENT_NAMES = {
+    "observation.state": STATE_COMPONENTS,
+    "action": STATE_COMPONENTS,
+    "observation.environment_state": [f"object_{name}" for name in POSE_COMPONENTS],
+}
+"""Names of the numbers of features."""
 STATISTICS_QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
 N_EPISODES_PER_CHUNK = 1000
-"""Files in a folder, one of each episode."""
+"""Episodes whose files share a folder."""
 MAX_STATISTICS_PIXELS = 200_000
-"""Most pixels of an image that statistics use: as many as a small image has."""
+"""Maximum number of pixels of an image that statistics use."""
 
 
 class Episode(NamedTuple):
-    """A scene as LeRobot has it: rows, features and statistics by name, its task in words, and its images."""
+    """A scene in LeRobot's terms: rows, features and statistics by name, the task in words, and the images."""
 
     columns: dict[str, Shaped[ndarray, "T ..."]]
     features: dict[str, object]
@@ -61,13 +65,17 @@ class Episode(NamedTuple):
 
     @staticmethod
     def of(scene: Scene) -> Episode:
-        """Make it. Raises ``UsageError`` without pyarrow or joints, ``InputError`` for unreadable images."""
+        """Make an episode. Raises ``UsageError`` without pyarrow or joints, ``InputError`` for unreadable images."""
         plugins.import_extra("pyarrow", "lerobot")
         scene = scene.even(integer_fps(scene))
         stage, pictures, fps = StageFrame.of(scene), EpisodeImages.of(scene), integer_fps(scene)
         columns = _feature_columns(scene, stage)
         features: dict[str, object] = {
-            name: {"dtype": _dtype(values), "shape": list(values.shape[1:]) or [1], "names": _feature_names(name)}
+            name: {
+                "dtype": "string" if values.dtype.kind == "U" else str(values.dtype),
+                "shape": list(values.shape[1:]) or [1],
+                "names": COMPONENT_NAMES.get(name),
+            }
             for name, values in columns.items()
         }
         stats = {name: feature_statistics(values) for name, values in columns.items() if values.dtype.kind != "U"}
@@ -79,12 +87,12 @@ class Episode(NamedTuple):
     def write(
         self, folder: Path, number: int = 0, begin: int = 0, task: int = 0, more: Mapping[str, str] | None = None
     ) -> dict[str, object]:
-        """Write its files into a dataset, and return its record; ``begin`` is the number of frames before it.
+        """Write the episode's files into a dataset, and return its record.
 
-        ``task`` is the number of its task, ``more`` what the record says besides.
+        ``begin`` is the number of frames of the episodes before it, ``task`` the index of its task, ``more`` further
+        fields of the record.
         """
-        place = {"chunk_index": number // N_EPISODES_PER_CHUNK, "file_index": number % N_EPISODES_PER_CHUNK}
-        count = len(self.columns["index"])
+        place, count = chunk_indices(number), len(self.columns["index"])
         offsets = {"episode_index": number, "index": begin, "task_index": task}
         moved = {name: self.columns[name] + offset for name, offset in offsets.items()}
         columns = self.columns | moved
@@ -100,24 +108,24 @@ class Episode(NamedTuple):
         if self.pictures is not None:
             path = _path_in_dataset(folder, VIDEO_FILE_PATTERN.format(video_key=CAMERA_FEATURE, **place))
             write_video(path, iter(self.pictures), Fraction(self.fps), self.pictures.size, seek=True)
-            record |= {f"videos/{CAMERA_FEATURE}/{key}": value for key, value in place.items()}
-            record |= {
-                f"videos/{CAMERA_FEATURE}/from_timestamp": 0.0,
-                f"videos/{CAMERA_FEATURE}/to_timestamp": count / self.fps,
-            }
+            about = {**place, "from_timestamp": 0.0, "to_timestamp": count / self.fps}
+            record |= {f"videos/{CAMERA_FEATURE}/{key}": value for key, value in about.items()}
         stats = self.stats | {name: feature_statistics(values) for name, values in moved.items()}
         record |= {f"stats/{name}/{key}": value for name, of in stats.items() for key, value in of.items()}
         record |= more or {}
         _write_table(_path_in_dataset(folder, DATA_FILE_PATTERN.format(**place)), columns)
-        _write_table(
-            _path_in_dataset(folder, EPISODES_FILE_PATTERN.format(**place)),
-            {key: [_as_python_value(value)] for key, value in record.items()},
-        )
+        row = {key: [value.tolist() if isinstance(value, ndarray) else value] for key, value in record.items()}
+        _write_table(_path_in_dataset(folder, EPISODES_FILE_PATTERN.format(**place)), row)
         return record
 
 
+def chunk_indices(number: int) -> dict[str, int]:
+    """Return the indices of an episode's folder and file, for the file patterns."""
+    return {"chunk_index": number // N_EPISODES_PER_CHUNK, "file_index": number % N_EPISODES_PER_CHUNK}
+
+
 def _path_in_dataset(folder: Path, name: str) -> Path:
-    """Return the path of a file in a dataset; its folder is made, and is no link."""
+    """Return the path of a file in a dataset, and make its folder."""
     *folders, last = name.split("/")
     return files.folder_inside(folder, *folders) / last
 
@@ -127,22 +135,18 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     made = Episode.of(scene)
     made.write(folder)
     write_meta(folder, made, [made.task], made.stats, {"train": "0:1"}, len(made.columns["index"]))
-    video = (
-        {VIDEO_FILE_PATTERN.format(video_key=CAMERA_FEATURE, **FIRST_CHUNK): "the images, H.264, at the same fps"}
-        if made.pictures
-        else {}
-    )
-    return {
-        DATA_FILE_PATTERN.format(
-            **FIRST_CHUNK
-        ): f"a row per frame; {made.stage.words}; quaternions (w, x, y, z); T_a_b row by row; action "
-        "is the next frame's state (a guess: people give no commands)",
-        EPISODES_FILE_PATTERN.format(**FIRST_CHUNK): "the one episode, with its statistics; the same units",
+    place = chunk_indices(0)
+    about = {
+        DATA_FILE_PATTERN.format(**place): f"a row per frame; {made.stage.words}; quaternions (w, x, y, z); T_a_b row "
+        "by row; action is the next frame's state (a guess: people give no commands)",
+        EPISODES_FILE_PATTERN.format(**place): "the one episode, with its statistics; the same units",
         "meta/tasks.parquet": "the task in words, in the same order as task_index",
         "meta/stats.json": "statistics of each feature, in the same units; images from 0 to 1",
         "meta/info.json": "the dataset's features; the same units",
-        **video,
     }
+    if made.pictures:
+        about[VIDEO_FILE_PATTERN.format(video_key=CAMERA_FEATURE, **place)] = "the images, H.264, at the same fps"
+    return about
 
 
 def write_meta(
@@ -153,39 +157,38 @@ def write_meta(
     splits: Mapping[str, str],
     frames: int,
 ) -> None:
-    """Write what makes the dataset complete: tasks and statistics, then ``info.json``."""
+    """Write tasks and statistics, then ``info.json``, which completes the dataset; ``frames`` counts all frames."""
     _write_tasks(folder / "meta" / "tasks.parquet", tasks)
     files.write_json(folder / "meta" / "stats.json", stats)
-    info = _dataset_info(made, splits, frames, len(tasks))
-    files.write_json(folder / "meta" / "info.json", info)
+    files.write_json(folder / "meta" / "info.json", _dataset_info(made, splits, frames, len(tasks)))
 
 
 def integer_fps(scene: Scene) -> int:
-    """Return the frames per second as a whole number: of the median step between frames."""
+    """Return the frame rate of the median time step, rounded to a whole number."""
     step = float(np.median(np.diff(scene.time))) if len(scene.frames) > 1 else 1.0 / scene.fps
     return int(np.clip(round(1.0 / step), 1, 1000))
 
 
 class EpisodeImages:
-    """The images of all frames, cut to an even width and height, as H.264 wants them; they are read one at a time."""
+    """The images of all frames, cropped to an even width and height for H.264; read one at a time."""
 
-    def __init__(self, paths: list[Path], value: tuple[int, int]) -> None:
-        self.paths, self.value = paths, value
-        self.size = (value[0] // 2 * 2, value[1] // 2 * 2)
+    def __init__(self, paths: list[Path], whole: tuple[int, int]) -> None:
+        self.paths, self.whole = paths, whole
+        self.size = (whole[0] // 2 * 2, whole[1] // 2 * 2)
 
     @staticmethod
     def of(scene: Scene) -> EpisodeImages | None:
-        """Read the pictures of a scene; None where a frame has none."""
+        """Return the images of a scene; None if a frame lacks one."""
         paths = [path for path in scene.image_files if path is not None]
         return EpisodeImages(paths, scene.size) if paths and len(paths) == len(scene.frames) else None
 
     def __iter__(self) -> Iterator[UInt8[ndarray, "H W 3"]]:
         width, height = self.size
         for path in self.paths:
-            yield read_image(path, self.value)[:height, :width]
+            yield read_image(path, self.whole)[:height, :width]
 
     def feature(self, fps: int) -> dict[str, object]:
-        """Describe the video as LeRobot does."""
+        """Describe the video as LeRobot's feature."""
         width, height = self.size
         about = {"height": height, "width": width, "codec": "h264", "pix_fmt": "yuv420p", "is_depth_map": False}
         info = {f"video.{key}": value for key, value in {**about, "fps": fps, "channels": 3}.items()}
@@ -194,7 +197,7 @@ class EpisodeImages:
 
 
 def _feature_columns(scene: Scene, stage: StageFrame) -> dict[str, Shaped[ndarray, "T ..."]]:
-    """Every feature but the video, by name."""
+    """Return all features but the video, by name."""
     joints = joints_on_stage(scene, stage, "lerobot")
     T_stage_obj, T_stage_hand = stage.poses(scene)
     wrist = T_stage_hand.copy()
@@ -221,20 +224,6 @@ def _feature_columns(scene: Scene, stage: StageFrame) -> dict[str, Shaped[ndarra
     }
 
 
-def _feature_names(name: str) -> list[str] | None:
-    """Return the names of a feature's numbers."""
-    of = {
-        "observation.state": STATE_COMPONENTS,
-        "action": STATE_COMPONENTS,
-        "observation.environment_state": [f"object_{p}" for p in POSE_COMPONENTS],
-    }
-    return of.get(name)
-
-
-def _dtype(values: Shaped[ndarray, "T ..."]) -> str:
-    return "string" if values.dtype.kind == "U" else str(values.dtype)
-
-
 def _dataset_info(made: Episode, splits: Mapping[str, str], frames: int, tasks: int) -> dict[str, object]:
     ends = [int(each.split(":")[1]) for ranges in splits.values() for each in ranges.split(",")]
     return {
@@ -255,7 +244,7 @@ def _dataset_info(made: Episode, splits: Mapping[str, str], frames: int, tasks: 
 
 
 def _write_table(path: Path, columns: Mapping[str, object], metadata: dict[bytes, bytes] | None = None) -> None:
-    """Write a Parquet file; arrays with several numbers in a row become lists of that length."""
+    """Write a Parquet file; rows of 2D arrays become lists of fixed length."""
     pa, parquet = plugins.import_extra("pyarrow", "lerobot"), plugins.import_extra("pyarrow.parquet", "lerobot")
 
     def column(values: object) -> pyarrow.Array:
@@ -271,24 +260,19 @@ def _write_table(path: Path, columns: Mapping[str, object], metadata: dict[bytes
 
 
 def _write_tasks(path: Path, tasks: Sequence[str]) -> None:
-    """LeRobot reads tasks with pandas, as a table whose index is the task: pandas finds that in the metadata."""
+    """Write the tasks with metadata that make the task the table's index for pandas, as LeRobot expects."""
 
     def about(name: str, kind: str, numpy_type: str) -> dict[str, object]:
         return {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy_type, "metadata": None}
 
     columns = [about("task_index", "int64", "int64"), about("task", "unicode", "object")]
     pandas = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
-    _write_table(
-        path, {"task_index": list(range(len(tasks))), "task": list(tasks)}, {b"pandas": json.dumps(pandas).encode()}
-    )
-
-
-def _as_python_value(value: object) -> object:
-    return value.tolist() if isinstance(value, ndarray) else value
+    table = {"task_index": list(range(len(tasks))), "task": list(tasks)}
+    _write_table(path, table, {b"pandas": json.dumps(pandas).encode()})
 
 
 def feature_statistics(values: Shaped[ndarray, "T ..."]) -> dict[str, Shaped[ndarray, "..."]]:
-    """Compute statistics of numbers over all frames, a number for each entry."""
+    """Compute statistics over all frames, for each entry of a feature."""
     rows = values.reshape(len(values), -1).astype(float)
     low, high, mean, std = rows.min(axis=0), rows.max(axis=0), rows.mean(axis=0), rows.std(axis=0)
     quantiles = {f"q{round(100 * q):02d}": np.quantile(rows, q, axis=0) for q in STATISTICS_QUANTILES}
@@ -296,7 +280,7 @@ def feature_statistics(values: Shaped[ndarray, "T ..."]) -> dict[str, Shaped[nda
 
 
 def image_stats(images: Iterable[UInt8[ndarray, "H W 3"]]) -> dict[str, Shaped[ndarray, "..."]]:
-    """Compute statistics of the three channels over all images, from 0 to 1, as arrays (3, 1, 1)."""
+    """Compute statistics of the three channels, from 0 to 1, over all images, as arrays (3, 1, 1)."""
     histogram, count = np.zeros((3, 256)), 0
     for image in images:
         step = max(1, int(np.sqrt(image.shape[0] * image.shape[1] / MAX_STATISTICS_PIXELS)))
@@ -304,12 +288,11 @@ def image_stats(images: Iterable[UInt8[ndarray, "H W 3"]]) -> dict[str, Shaped[n
         count += 1
     levels = np.arange(256) / 255.0
     share = histogram / histogram.sum(axis=1, keepdims=True)
-    mean = share @ levels
-    there = [np.flatnonzero(of) for of in histogram]
-    total = np.cumsum(share, axis=1)
+    mean, total = share @ levels, np.cumsum(share, axis=1)
+    present = [np.flatnonzero(of) for of in histogram]
     out = {
-        "min": levels[[of[0] for of in there]],
-        "max": levels[[of[-1] for of in there]],
+        "min": levels[[of[0] for of in present]],
+        "max": levels[[of[-1] for of in present]],
         "mean": mean,
         "std": np.sqrt(np.maximum(share @ levels**2 - mean**2, 0.0)),
         **{f"q{round(100 * q):02d}": levels[np.argmax(total >= q, axis=1)] for q in STATISTICS_QUANTILES},

@@ -1,11 +1,10 @@
-"""A dataset of LeRobot of many results, an episode each, with files of its own; it can be continued.
+"""A LeRobot dataset of many results that can be continued; each result is an episode with its own files.
 
-An episode's files are written aside and then moved to their place, since LeRobot reads all files of its folders, also
-half of one; ``meta/info.json`` is written last: what it does not count is written anew. So an end at any time loses
-the episode at work and no other. Several processes may add to one: each waits for its turn, and then counts on from
-what the others have added (where the system has no locks, one at a time may). Each record in ``meta/episodes`` has
-the clip as ``clip`` and ``train`` or ``test`` as ``split``; ``splits`` in ``info.json`` has the ranges of both, with
-commas where there are several.
+LeRobot reads all files of its folders, complete or not: an episode's files are written to a temporary folder and then
+moved. ``meta/info.json`` is written last; files that it does not count are overwritten, so that an interruption loses
+only the current episode. Several processes may add episodes, one at a time, each after the others' (on a system without
+locks only one process may). Each record in ``meta/episodes`` has the clip's name as ``clip``, and ``train`` or ``test``
+as ``split``; ``splits`` in ``info.json`` has the ranges of both, separated by commas.
 """
 
 from __future__ import annotations
@@ -25,10 +24,10 @@ from getagrip.errors import InputError
 from getagrip.export.lerobot import (
     DATA_FILE_PATTERN,
     EPISODES_FILE_PATTERN,
-    N_EPISODES_PER_CHUNK,
     STATISTICS_QUANTILES,
     VIDEO_FILE_PATTERN,
     Episode,
+    chunk_indices,
     write_meta,
 )
 from getagrip.export.scene import Scene
@@ -36,7 +35,7 @@ from getagrip.io import arrays, files, plugins
 from getagrip.io.files import Json
 
 STATISTIC_NAMES = ("min", "max", "mean", "std", "count", *(f"q{round(100 * q):02d}" for q in STATISTICS_QUANTILES))
-"""Statistics in a record, of each feature that is no text."""
+"""Statistics in a record, of each numeric feature."""
 
 
 @dataclass
@@ -44,8 +43,8 @@ class LerobotDataset:
     """The dataset in a folder.
 
     Attributes:
-        folder: its folder.
-        info: the content of ``meta/info.json``; empty for a new one.
+        folder: the dataset's folder.
+        info: the content of ``meta/info.json``; empty for a new dataset.
         records: the record of each episode.
         tasks: the tasks in words.
     """
@@ -57,20 +56,20 @@ class LerobotDataset:
 
     @staticmethod
     def of(folder: Path) -> LerobotDataset:
-        """Open the dataset in a folder, or begin one. Raises ``InputError`` for other things."""
+        """Open the dataset in a folder, or begin one. Raises ``InputError`` for a folder of other files."""
         made = LerobotDataset(folder)
         if folder.is_dir():
             files.remove_stale_folders(folder)
-            with files.hold_lock(folder):  # else another process may add episodes after its description was read
+            with files.hold_lock(folder):  # else another process may add episodes after info.json was read
                 made._catch_up()
         if not made.info and folder.exists() and {one.name for one in folder.iterdir()} - {"data", "meta", "videos"}:
             raise InputError(folder, "", "other files", "a dataset of LeRobot, or a new folder")
         return made
 
     def _catch_up(self) -> None:
-        """Read the episodes that are there and not known yet. Raises ``InputError`` where anything of them is damaged.
+        """Read the episodes that other processes have added. Raises ``InputError`` for a damaged one.
 
-        So nothing is added to a dataset that could not be finished.
+        Nothing is then added to a dataset that could not be completed.
         """
         path = self.folder / "meta" / "info.json"
         if not path.exists():
@@ -81,21 +80,19 @@ class LerobotDataset:
         _check_info(path, self.info)
         self._refuse_others(path, self.info["total_episodes"])
         for number in range(len(self.records), self.info["total_episodes"]):
-            place = _chunk_indices(number)
+            place = chunk_indices(number)
             source = files.inside(self.folder, EPISODES_FILE_PATTERN.format(**place), "", "an episode's record")
             files.inside(self.folder, DATA_FILE_PATTERN.format(**place), "", "an episode's data")
-            for name, feature in self.info["features"].items():
-                if feature["dtype"] == "video":
-                    files.inside(
-                        self.folder, VIDEO_FILE_PATTERN.format(video_key=name, **place), "", "an episode's video"
-                    )
+            for name in (name for name, feature in self.info["features"].items() if feature["dtype"] == "video"):
+                video = VIDEO_FILE_PATTERN.format(video_key=name, **place)
+                files.inside(self.folder, video, "", "an episode's video")
             try:
                 with arrays.convert_to_input_errors(source):
                     table = parquet.ParquetFile(source)
                     if table.metadata.num_rows != 1:
                         raise InputError(source, "", f"{table.metadata.num_rows} rows", "one, the episode's record")
                     (record,) = table.read().to_pylist()
-                    record = {key: _statistics_as_array(key, value) for key, value in record.items()}
+                    record |= {key: np.array(value) for key, value in record.items() if key.startswith("stats/")}
             except OSError as error:
                 raise InputError(source, "", f"a damaged file ({error})", "an episode's record") from error
             begin = self.records[-1]["dataset_to_index"] if self.records else 0
@@ -104,37 +101,33 @@ class LerobotDataset:
             self.tasks += [task for task in record["tasks"] if task not in self.tasks]
 
     def _refuse_others(self, path: Path, total: int) -> None:
-        """Raise ``InputError`` for files of episodes that are not counted, but for one that was not finished."""
-        counted = {
-            of.format(**_chunk_indices(number))
-            for of in (DATA_FILE_PATTERN, EPISODES_FILE_PATTERN)
-            for number in range(total + 1)
-        }
+        """Raise ``InputError`` for files of episodes beyond ``total``, except one incomplete episode."""
+        patterns, places = (DATA_FILE_PATTERN, EPISODES_FILE_PATTERN), list(map(chunk_indices, range(total + 1)))
+        counted = {pattern.format(**place) for pattern in patterns for place in places}
         for pattern in ("data/*/*.parquet", "meta/episodes/*/*.parquet"):
             for found in sorted(self.folder.glob(pattern)):
                 if (name := found.relative_to(self.folder).as_posix()) not in counted:
-                    raise InputError(
-                        path, "total_episodes", f"{total}, and {files.printable(name)}", "the files' count"
-                    )
+                    got = f"{total}, and {files.printable(name)}"
+                    raise InputError(path, "total_episodes", got, "the files' count")
 
     @property
     def clips(self) -> set[str]:
-        """The clips whose results are in it."""
+        """The clips whose results the dataset has."""
         return {str(record.get("clip", "")) for record in self.records}
 
     def tests(self, clips: Collection[str], share: float) -> set[str]:
-        """Choose test clips among new ones, so that a ``share`` of all clips, old ones included, is for tests.
+        """Choose test clips among new ones, so that the fraction ``share`` of all clips, new and old, is for tests.
 
-        By the checksums of their names, whatever their order. What is there stays what it is.
+        The choice depends on checksums of names, not on order. The dataset's own episodes keep their split.
         """
         new = sorted({*clips} - self.clips, key=lambda clip: hashlib.sha256(clip.encode()).digest())
-        there = sum(record.get("split") == "test" for record in self.records)
-        return {*new[: max(0, round(share * (len(self.records) + len(new))) - there)]}
+        old_tests = sum(record.get("split") == "test" for record in self.records)
+        return {*new[: max(0, round(share * (len(self.records) + len(new))) - old_tests)]}
 
     def add(self, scene: Scene, split: str = "train") -> int:
-        """Add a scene as the last episode, of ``train`` or ``test``, and return its number; or that which it has.
+        """Add a scene as the last episode, in ``split``; return its index, or the index that the clip's episode has.
 
-        Raises ``InputError`` where its rate or its features differ from the dataset's, and as ``Episode.of``.
+        Raises ``InputError`` for another frame rate or other features than the dataset's, and as ``Episode.of``.
         """
         made = Episode.of(scene)
         files.folder_inside(self.folder, "meta")
@@ -144,7 +137,7 @@ class LerobotDataset:
             return clips.index(scene.name) if scene.name in clips else self._append(made, scene.name, split)
 
     def _append(self, made: Episode, clip: str, split: str) -> int:
-        """Write an episode behind the last one, with the folder locked."""
+        """Write an episode behind the last one; the folder is locked."""
         number = len(self.records)
         self._check(made, clip)
         tasks = self.tasks if made.task in self.tasks else [*self.tasks, made.task]
@@ -160,29 +153,28 @@ class LerobotDataset:
         return number
 
     def _check(self, made: Episode, clip: str) -> None:
-        """Raise ``InputError`` where an episode differs from those of the dataset: for what differs alone."""
+        """Raise ``InputError`` for an episode whose rate or features differ from the dataset's, with the difference."""
         if not self.info:
             return
         own = "; a dataset of its own (another --out) takes it"
         if (fps := self.info["fps"]) != made.fps:
             expected = f"{fps}, as of the dataset's other episodes: --fps {fps} resamples it{own}"
             raise InputError(Path(clip), "", f"{made.fps} frames per second", expected)
-        theirs, there = self.info["features"], "the other episodes have"
+        theirs, others = self.info["features"], "the other episodes have"
         missing, more = sorted({*theirs} - {*made.features}), sorted({*made.features} - {*theirs})
         if missing or more:
-            got = " and ".join(
-                f"{word} {', '.join(some[:4])}" for word, some in (("no", missing), ("also", more)) if some
-            )
-            raise InputError(Path(clip), "", got, f"what {there}{own}")
+            named = (("no", missing), ("also", more))
+            got = " and ".join(f"{word} {', '.join(some[:4])}" for word, some in named if some)
+            raise InputError(Path(clip), "", got, f"what {others}{own}")
         other = next((name for name, feature in theirs.items() if feature != made.features[name]), None)
         if other is not None:
             shapes = (dict(one[other])["shape"] for one in (cast("Json", made.features), theirs))
             got, expected = (" x ".join(map(str, shape)) for shape in shapes)
-            raise InputError(Path(clip), other, got, f"{expected}, as {there}{own}")
+            raise InputError(Path(clip), other, got, f"{expected}, as {others}{own}")
 
     @property
     def splits(self) -> dict[str, str]:
-        """The ranges of episodes of each split, as ``info.json`` has them."""
+        """The ranges of episodes of each split, for ``info.json``."""
         ranges: dict[str, list[str]] = {"train": []}
         for split, run in groupby(range(len(self.records)), key=lambda n: str(self.records[n].get("split", "train"))):
             episodes = list(run)
@@ -190,22 +182,16 @@ class LerobotDataset:
         return {split: ",".join(each) for split, each in ranges.items() if each}
 
     def statistics(self) -> dict[str, dict[str, ndarray]]:
-        """Compute the statistics of all episodes from those of each, as LeRobot does: quantiles are means of theirs."""
-        keys = [key.split("/")[1:] for key in self.records[0] if key.startswith("stats/")]
-        return {name: _merge_statistics(self._each(name, of_name)) for name, of_name in _group_keys(keys).items()}
-
-    def _each(self, name: str, keys: list[str]) -> dict[str, ndarray]:
-        """Return some statistics of a feature, for each episode."""
-        return {key: np.array([np.asarray(one[f"stats/{name}/{key}"]) for one in self.records]) for key in keys}
-
-
-def _chunk_indices(number: int) -> dict[str, int]:
-    """Return where the files of an episode are."""
-    return {"chunk_index": number // N_EPISODES_PER_CHUNK, "file_index": number % N_EPISODES_PER_CHUNK}
+        """Combine the statistics of all episodes, as LeRobot does: quantiles are means of the episodes' quantiles."""
+        each: dict[str, dict[str, ndarray]] = {}
+        for key in (key for key in self.records[0] if key.startswith("stats/")):
+            _, name, statistic = key.split("/")
+            each.setdefault(name, {})[statistic] = np.array([np.asarray(one[key]) for one in self.records])
+        return {name: _merge_statistics(of_name) for name, of_name in each.items()}
 
 
 def _check_info(path: Path, info: Json) -> None:
-    """Raise ``InputError`` for a description that is not as ``write_meta`` writes it."""
+    """Raise ``InputError`` for an ``info.json`` that ``write_meta`` did not write."""
     for key, kind in {"fps": int, "total_episodes": int, "features": dict}.items():
         if type(info.get(key)) is not kind or (kind is int and info[key] < (key == "fps")):
             got = files.shorten_value(info[key]) if key in info else "no such key"
@@ -213,13 +199,12 @@ def _check_info(path: Path, info: Json) -> None:
     for name, feature in info["features"].items():
         sides = feature.get("shape") if isinstance(feature, dict) else None
         if not isinstance(sides, list) or not all(type(side) is int for side in sides) or "dtype" not in feature:
-            raise InputError(
-                path, f"features.{files.printable(name)}", files.shorten_value(feature), "its dtype and shape"
-            )
+            key, got = f"features.{files.printable(name)}", files.shorten_value(feature)
+            raise InputError(path, key, got, "its dtype and shape")
 
 
 def _check_record(path: Path, record: Json, features: Json, number: int, begin: int) -> None:
-    """Raise ``InputError`` for a record that is not that of an episode, which begins at the frame ``begin``."""
+    """Raise ``InputError`` for a record that does not fit the dataset and the first frame ``begin``."""
     length, tasks = record.get("length"), record.get("tasks")
     if type(length) is not int or length < 1:
         raise InputError(path, "length", files.shorten_value(length), "the episode's frames")
@@ -239,15 +224,8 @@ def _check_record(path: Path, record: Json, features: Json, number: int, begin: 
                 raise InputError(path, key, got, f"numbers of shape {shape}")
 
 
-def _group_keys(keys: list[list[str]]) -> dict[str, list[str]]:
-    out: dict[str, list[str]] = {}
-    for name, key in keys:
-        out.setdefault(name, []).append(key)
-    return out
-
-
 def _merge_statistics(each: dict[str, ndarray]) -> dict[str, ndarray]:
-    """Join the statistics of episodes (N, ...)."""
+    """Merge statistics (N, ...) of N episodes."""
     count = each["count"].reshape(len(each["count"]), *[1] * (each["mean"].ndim - 1))
     share = count / count.sum()
     mean = (share * each["mean"]).sum(axis=0)
@@ -255,7 +233,3 @@ def _merge_statistics(each: dict[str, ndarray]) -> dict[str, ndarray]:
     known = {"min": each["min"].min(axis=0), "max": each["max"].max(axis=0), "mean": mean, "std": np.sqrt(variance)}
     quantiles = {key: (share * value).sum(axis=0) for key, value in each.items() if key.startswith("q")}
     return {**known, "count": each["count"].sum(axis=0), **quantiles}
-
-
-def _statistics_as_array(key: str, value: object) -> object:
-    return np.array(value) if key.startswith("stats/") else value

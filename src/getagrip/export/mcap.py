@@ -1,7 +1,7 @@
 """MCAP (https://mcap.dev): a log for Foxglove and ROS tools, in JSON by the schemas of foxglove-sdk (``jsonschema``).
 
-Frames are a tree: ``stage`` (stands still, z up), ``camera`` (x right, y down, z forward), the hands in it, and
-``object`` in the clip's own hand. Quaternions are (x, y, z, w); times are the clip's. Meshes are beside it.
+Frames form a tree: ``stage`` (static, z up), ``camera`` (x right, y down, z forward), the hands in the camera frame,
+and ``object`` in the clip's own hand. Quaternions are (x, y, z, w); times are the clip's. Meshes are separate files.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from getagrip.io.images import read_image
 
 MCAP_FILE = "scene.mcap"
 IMAGE_SIGNATURES = {b"\xff\xd8\xff": "jpeg", b"\x89PNG": "png"}
-"""How image files begin that are kept as they are."""
+"""First bytes of image files that are copied unchanged."""
 
 
 def _object_schema(title: str, **properties: object) -> dict[str, object]:
@@ -34,31 +34,23 @@ def _array_schema(of: Mapping[str, object], count: int = 0) -> dict[str, object]
     return {"type": "array", "items": of} | ({"minItems": count, "maxItems": count} if count else {})
 
 
-TEXT_SCHEMA, NUMBER_SCHEMA, INTEGER_SCHEMA = {"type": "string"}, {"type": "number"}, {"type": "integer", "minimum": 0}
-TIME_SCHEMA = _object_schema("time", sec=INTEGER_SCHEMA, nsec=INTEGER_SCHEMA)
-VECTOR_SCHEMA = _object_schema("foxglove.Vector3", x=NUMBER_SCHEMA, y=NUMBER_SCHEMA, z=NUMBER_SCHEMA)
-QUATERNION_SCHEMA = _object_schema(
-    "foxglove.Quaternion", x=NUMBER_SCHEMA, y=NUMBER_SCHEMA, z=NUMBER_SCHEMA, w=NUMBER_SCHEMA
-)
-TRANSFORM_SCHEMA = _object_schema(
-    "foxglove.FrameTransform", timestamp=TIME_SCHEMA, parent_frame_id=TEXT_SCHEMA, child_frame_id=TEXT_SCHEMA, translation=VECTOR_SCHEMA,
-    rotation=QUATERNION_SCHEMA,
+TEXT, NUMBER, COUNT = {"type": "string"}, {"type": "number"}, {"type": "integer", "minimum": 0}
+TIME = _object_schema("time", sec=COUNT, nsec=COUNT)
+VECTOR = _object_schema("foxglove.Vector3", x=NUMBER, y=NUMBER, z=NUMBER)
+QUATERNION = _object_schema("foxglove.Quaternion", x=NUMBER, y=NUMBER, z=NUMBER, w=NUMBER)
+POSE = _object_schema("foxglove.Pose", position=VECTOR, orientation=QUATERNION)
+TRANSFORM = _object_schema(
+    "foxglove.FrameTransform", timestamp=TIME, parent_frame_id=TEXT, child_frame_id=TEXT, translation=VECTOR,
+    rotation=QUATERNION,
 )  # fmt: skip
-POSE_SCHEMA = _object_schema("foxglove.Pose", position=VECTOR_SCHEMA, orientation=QUATERNION_SCHEMA)
-TRANSFORMS_SCHEMA = _object_schema("foxglove.FrameTransforms", transforms=_array_schema(TRANSFORM_SCHEMA))
-POSES_SCHEMA = _object_schema(
-    "foxglove.PosesInFrame", timestamp=TIME_SCHEMA, frame_id=TEXT_SCHEMA, poses=_array_schema(POSE_SCHEMA)
+TRANSFORMS = _object_schema("foxglove.FrameTransforms", transforms=_array_schema(TRANSFORM))
+POSES = _object_schema("foxglove.PosesInFrame", timestamp=TIME, frame_id=TEXT, poses=_array_schema(POSE))
+IMAGE = _object_schema(
+    "foxglove.CompressedImage", timestamp=TIME, frame_id=TEXT, data=TEXT | {"contentEncoding": "base64"}, format=TEXT
 )
-IMAGE_SCHEMA = _object_schema(
-    "foxglove.CompressedImage",
-    timestamp=TIME_SCHEMA,
-    frame_id=TEXT_SCHEMA,
-    data=TEXT_SCHEMA | {"contentEncoding": "base64"},
-    format=TEXT_SCHEMA,
-)
-CALIBRATION_SCHEMA = _object_schema(
-    "foxglove.CameraCalibration", timestamp=TIME_SCHEMA, frame_id=TEXT_SCHEMA, width=INTEGER_SCHEMA, height=INTEGER_SCHEMA, distortion_model=TEXT_SCHEMA,
-    D=_array_schema(NUMBER_SCHEMA), K=_array_schema(NUMBER_SCHEMA, 9), R=_array_schema(NUMBER_SCHEMA, 9), P=_array_schema(NUMBER_SCHEMA, 12),
+CALIBRATION = _object_schema(
+    "foxglove.CameraCalibration", timestamp=TIME, frame_id=TEXT, width=COUNT, height=COUNT, distortion_model=TEXT,
+    D=_array_schema(NUMBER), K=_array_schema(NUMBER, 9), R=_array_schema(NUMBER, 9), P=_array_schema(NUMBER, 12),
 )  # fmt: skip
 
 
@@ -85,8 +77,8 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
         scene_file: Any = trimesh.Trimesh(vertices, faces, process=False).export(file_type="glb")
         files.write_bytes(folder / name, scene_file)
-    about = {name: f"the mesh in the frame {name[:-4]}, axes as they are; metres" for name in meshes}
-    hands = {name: f"{words}; as it is bent in the first frame" for name, words in about.items() if "hand" in name}
+    about = {name: f"the mesh in the frame {name[:-4]}, axes unchanged; metres" for name in meshes}
+    hands = {name: f"{words}; in the first frame's articulation" for name, words in about.items() if "hand" in name}
     return {MCAP_FILE: f"JSON by Foxglove's schemas; {stage.words}; quaternions (x, y, z, w)", **about, **hands}
 
 
@@ -105,30 +97,30 @@ def _frame_messages(
         for parent, child, T in tree
         for t, q in [_pose_message(T)]
     ]
-    yield "/tf", TRANSFORMS_SCHEMA, {"transforms": transforms}
+    yield "/tf", TRANSFORMS, {"transforms": transforms}
     K, (width, height) = scene.K[n], scene.size
     size = {"width": width, "height": height, "distortion_model": "", "D": []}
     matrices = {"K": K, "R": np.eye(3), "P": np.column_stack([K, np.zeros(3)])}
     numbers = {name: M.ravel().tolist() for name, M in matrices.items()}
-    yield "/camera/calibration", CALIBRATION_SCHEMA, seen | size | numbers
+    yield "/camera/calibration", CALIBRATION, seen | size | numbers
     for hand in hands:
         if hand.joints is not None:
             poses = [_pose_message(se3.rigid(np.eye(3), joint)) for joint in hand.joints[n]]
             joints = {"poses": [{"position": t, "orientation": q} for t, q in poses]}
-            yield f"/{hand.name}/joints", POSES_SCHEMA, now | {"frame_id": hand.name} | joints
+            yield f"/{hand.name}/joints", POSES, now | {"frame_id": hand.name} | joints
     if scene.image_files and (source := scene.image_files[n]) is not None:
         content, kind = _read_encoded_image(source, scene.size)
-        yield "/camera/image", IMAGE_SCHEMA, seen | {"data": base64.b64encode(content).decode(), "format": kind}
+        yield "/camera/image", IMAGE, seen | {"data": base64.b64encode(content).decode(), "format": kind}
 
 
 def _pose_message(T: Float[ndarray, "4 4"]) -> tuple[dict[str, float], dict[str, float]]:
-    """Write a pose as a translation and a quaternion."""
+    """Convert a pose to the fields of a translation and a quaternion."""
     w, x, y, z = se3.quaternion(T[:3, :3]).tolist()
     return dict(zip("xyz", T[:3, 3].tolist(), strict=True)), {"x": x, "y": y, "z": z, "w": w}
 
 
 def _read_encoded_image(path: Path, size: tuple[int, int]) -> tuple[bytes, str]:
-    """Return an image as a file's content, and its format: as it is, or as PNG. Raises ``InputError``."""
+    """Return an image file's content and format: JPEG and PNG unchanged, others as PNG. Raises ``InputError``."""
     import cv2
 
     image, content = read_image(path, size), files.read_bytes(path)

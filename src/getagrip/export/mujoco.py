@@ -1,9 +1,9 @@
 """MuJoCo: a scene (MJCF) with the object as a free body, the hand and the camera as mocap bodies, a key per frame.
 
-The world is in metres, z up; quaternions are (w, x, y, z). Key n is frame n: with ``mj_resetDataKeyframe`` and
-``mj_forward`` the scene is replayed. In a simulation, ``mocap_pos`` and ``mocap_quat`` go from key to key.
-The mocap body ``target`` is where the reconstruction has the object; a weld, ``follow``, draws the object there softly.
-Without it (``eq_active``), contact and gravity alone move the object.
+The world is in metres, z up; quaternions are (w, x, y, z). Key n is frame n: ``mj_resetDataKeyframe`` and
+``mj_forward`` replay the scene; a simulation sets ``mocap_pos`` and ``mocap_quat`` from key to key. The mocap body
+``target`` has the reconstructed pose of the object; a soft weld, ``follow``, pulls the object to it. Without the weld
+(``eq_active``), contact and gravity alone move the object.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from getagrip.export.scene import (
     Bones,
     Scene,
     StageFrame,
+    format_vector,
     safe_file_name,
 )
 from getagrip.geometry import se3
@@ -32,15 +33,13 @@ from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import files, plugins
 
 MJCF_FILE = "scene.xml"
-MAX_CONVEX_PIECES = 32
-N_DECOMPOSITION_VOXELS = 100_000
-"""Number of voxels of the convex decomposition."""
+MAX_CONVEX_PIECES, N_DECOMPOSITION_VOXELS = 32, 100_000
 OBJECT_DENSITY_KG_M3 = 1000.0
 """Density of the object [kg/m^3], assumed: that of water and of most plastics."""
 OBJECT_CONTACT_BITS, HAND_CONTACT_BITS = {"contype": "1", "conaffinity": "2"}, {"contype": "2", "conaffinity": "1"}
-"""The object touches the hand; bones do not touch each other."""
+"""Masks by which the object collides with the hand, and bones not with each other."""
 WELD_STIFFNESS = {"solref": "0.01 1", "solimp": "0.98 0.99 0.001"}
-"""How stiff the weld is: more than contacts are, so that bones that are drawn too thick do not hold the object off."""
+"""Stiffness of the weld, above that of contacts, so that bones of too large a radius do not push the object away."""
 VISUAL_GEOM_ATTRIBUTES = {"contype": "0", "conaffinity": "0", "group": "2"}
 MUJOCO_CAMERA_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 """From MuJoCo's camera axes (y up, looking along -z) to this package's."""
@@ -64,9 +63,8 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     _add_element(world, "light", pos="0 0 3", directional="true")
     body = _add_element(world, "body", name="object", **_pose_attributes(T_stage_obj[0]))
     _add_element(body, "freejoint", name="object")
-    _add_element(
-        body, "geom", type="mesh", mesh="object", mass="0", rgba=_rgba(OBJECT_COLOUR), **VISUAL_GEOM_ATTRIBUTES
-    )
+    colour = _rgba(OBJECT_COLOUR)
+    _add_element(body, "geom", type="mesh", mesh="object", mass="0", rgba=colour, **VISUAL_GEOM_ATTRIBUTES)
     for n in range(len(pieces)):
         _mesh_asset(assets, f"piece_{n:02d}", "convex")
         piece = {"mesh": f"piece_{n:02d}", "density": f"{OBJECT_DENSITY_KG_M3:g}", "group": "3", **OBJECT_CONTACT_BITS}
@@ -77,10 +75,8 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     camera = _add_element(world, "body", name="camera", mocap="true", **_pose_attributes(moved["camera"][0]))
     tall = 2.0 * np.degrees(np.arctan(scene.size[1] / 2.0 / scene.K[0, 1, 1]))  # degrees, whatever the compiler says
     _add_element(camera, "camera", name="clip", fovy=f"{tall:.6g}")
-    equality = _add_element(root, "equality")
-    _add_element(
-        equality, "weld", name="follow", body1="target", body2="object", relpose="0 0 0 1 0 0 0", **WELD_STIFFNESS
-    )
+    weld = {"name": "follow", "body1": "target", "body2": "object", "relpose": "0 0 0 1 0 0 0"}
+    _add_element(_add_element(root, "equality"), "weld", **weld, **WELD_STIFFNESS)
     _add_keyframes(root, scene, T_stage_obj, moved)
     Xml.indent(root)
     files.write_bytes(folder / MJCF_FILE, Xml.tostring(root, encoding="utf-8"))
@@ -88,11 +84,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         library.MjModel.from_xml_path(str(folder / MJCF_FILE))
     except ValueError as error:
         raise UsageError(f"--to mujoco: MuJoCo refuses the scene of {scene.name}: {error}") from error
-    fit = (
-        "capsules about the bones between its joints"
-        if bones
-        else "its rigid mesh of the first frame, touching nothing"
-    )
+    fit = "capsules about the bones between its joints" if bones else "its rigid mesh of the first frame, no contact"
     about = f"MJCF: {on_stage.words}; key n is frame n; mass by a density of {OBJECT_DENSITY_KG_M3:g} kg/m^3 (a guess)"
     meshes = {f"assets/piece_{n:02d}.obj": "a convex piece of the object; metres" for n in range(len(pieces))}
     shown = {} if bones else {"assets/hand.obj": "the hand in the first frame, hand frame; metres"}
@@ -100,14 +92,16 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
 
 def convex_decomposition(mesh: Mesh) -> list[Mesh]:
-    """Split a mesh into convex pieces (V-HACD), or return its hull where it has no inside. Raises ``UsageError``."""
+    """Split a mesh into convex pieces (V-HACD), or return its hull if the pieces have no volume.
+
+    Raises ``UsageError`` without vhacdx.
+    """
     faces = np.column_stack([np.full(len(mesh.faces), 3), mesh.faces]).astype(np.uint32).ravel()
     found = plugins.import_extra("vhacdx", "mujoco").compute_vhacd(
         mesh.vertices, faces, maxConvexHulls=MAX_CONVEX_PIECES, resolution=N_DECOMPOSITION_VOXELS, asyncACD=False
     )
     pieces = [Mesh(np.asarray(v, dtype=float), np.asarray(f).reshape(-1, 3).astype(np.int64)) for v, f in found]
-    solid = [piece for piece in pieces if abs(piece.volume) > 1e-10]  # a cube of half a millimetre
-    if solid:
+    if solid := [piece for piece in pieces if abs(piece.volume) > 1e-10]:  # a cube of half a millimetre
         return solid
     import trimesh
 
@@ -123,7 +117,7 @@ def _add_mjcf_hand(
     T_stage_hand: Float[ndarray, "T 4 4"],
     folder: Path,
 ) -> dict[str, Float[ndarray, "T 4 4"]]:
-    """Add the hand; returns the poses of its mocap bodies by name, in the order in which they are added."""
+    """Add the hand; return the poses of its mocap bodies by name, in their order."""
     colour = _rgba(HAND_COLOUR)
     if bones is None:
         write_mesh(Mesh(scene.hand_vertices[0], scene.hand_faces), folder / "assets" / "hand.obj")
@@ -152,7 +146,7 @@ def _add_keyframes(
     qpos = np.concatenate([T_stage_obj[:, :3, 3], se3.quaternions_in_time(T_stage_obj[:, :3, :3])], axis=1)
     for n, time in enumerate(scene.time - scene.time[0]):
         arrays = {"qpos": qpos[n], "mpos": places[n], "mquat": turns[n]}
-        numbers = {name: _format_vector(values) for name, values in arrays.items()}
+        numbers = {name: format_vector(values) for name, values in arrays.items()}
         _add_element(keyframe, "key", name=f"frame_{n:06d}", time=f"{time:.9g}", **numbers)
 
 
@@ -165,12 +159,8 @@ def _mesh_asset(assets: Xml.Element, name: str, inertia: str) -> None:
 
 
 def _pose_attributes(T: Float[ndarray, "4 4"]) -> dict[str, str]:
-    return {"pos": _format_vector(T[:3, 3]), "quat": _format_vector(se3.quaternion(T[:3, :3]))}
+    return {"pos": format_vector(T[:3, 3]), "quat": format_vector(se3.quaternion(T[:3, :3]))}
 
 
 def _rgba(colour: tuple[float, float, float]) -> str:
-    return _format_vector(np.array([*colour, 1.0]))
-
-
-def _format_vector(values: Float[ndarray, "*n"]) -> str:
-    return " ".join(f"{x:.9g}" for x in np.ravel(values))
+    return format_vector(np.array([*colour, 1.0]))

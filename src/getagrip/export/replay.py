@@ -1,12 +1,12 @@
-"""Replay in MuJoCo: the hand moves as it was reconstructed, and holds the object by contact and friction alone.
+"""Replay in MuJoCo: the hand follows the reconstruction and holds the object by contact and friction alone.
 
-The hand is 20 rigid parts, a convex hull about each bone, drawn after the reconstruction by welds: bodies that have a
-velocity, since friction with a mocap body, which has none, would hold the object in the world. A reconstructed hand
-touches but does not press: surfaces meet ``SKIN_PRESS_DEPTH_M`` before they touch, as skin that is pressed in.
-The object is convex pieces, welded to its reconstructed pose at first, then free.
+The hand consists of 20 rigid parts, the convex hull of each bone's vertices, pulled along the reconstruction by welds:
+mocap bodies have no velocity, and friction with them would hold the object in the world. A reconstructed hand touches
+without pressing; contact therefore begins at a distance of ``SKIN_PRESS_DEPTH_M``, as if skin were pressed in. The
+object consists of convex pieces, at first welded to the reconstructed pose, then free.
 
-The friction, the density, the stiffness of skin and, where the clip has no ``world_up``, the direction of gravity are
-assumed. The displacement after releasing an object is a measure of grasps since Tzionas et al. (IJCV 2016).
+Friction, density, the stiffness of skin and, for a clip without ``world_up``, the direction of gravity are assumed.
+The displacement of a released object as a measure of grasps is due to Tzionas et al. (IJCV 2016).
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ if TYPE_CHECKING:
 FRICTION_COEFFICIENT = 1.0
 """Coefficient of friction of skin and object, assumed."""
 SKIN_PRESS_DEPTH_M = 0.003
-"""Depth by which the surfaces of hand and object are pressed into each other where they just touch [m]."""
+"""Assumed penetration of hand and object where their surfaces just touch [m]."""
 CONTACT_TIME_CONSTANT_S = 0.04
-"""Time constant of contact [s]: stiffer, what is pressed in too deep throws the object out."""
+"""Time constant of contact [s]; a shorter one expels an object that penetrates the hand."""
 MIN_PART_VERTICES = 4
-"""Least number of vertices of a part of the hand, so that it has an inside."""
+"""Minimum number of vertices of a part of the hand, so that it has a volume."""
 BONE_OVERLAP_M = 0.003
-"""A vertex belongs to its nearest bone, and to those that are farther by less than this [m]."""
+"""A vertex belongs to its nearest bone, and to bones that are farther by less than this distance [m]."""
 SIMULATION_STEP_S = 0.002
-"""Time of a step of the simulation [s]."""
 SETTLING_TIME_S = 0.2
-"""How long the hand stands still in the first frame, the object welded, until contacts are at rest [s]."""
+"""Time for which the hand is static in the first frame, with the object welded, until contacts are at rest [s]."""
 WELD_TIME_S = 0.1
-"""How long the object is welded from the first frame on: it is let go as fast as it is [s]; at most half of a clip."""
+"""Time from the first frame for which the object is welded, at most half the clip [s]; it is released in motion."""
 MAX_STABLE_DISPLACEMENT_M = 0.02
-"""The object is in the hand while its vertices are nearer than this to the reconstruction, on average [m]."""
+"""Mean displacement of the object's vertices up to which the object counts as in the hand [m]."""
 WELD_TIME_CONSTANT_S = 0.008
-"""Time constant of the welds [s]."""
+WELD_LAG_S = 2.0 * WELD_TIME_CONSTANT_S
+"""Lag of a critically damped weld [s]."""
 HAND_PART_MASS_KG = 1.0
-"""Mass of a part of the hand [kg], so that the object does not move it."""
+"""Mass of a part of the hand [kg], large enough that the object does not move it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +60,9 @@ class Replay:
 
     Attributes:
         T_stage_obj: (T, 4, 4) simulated poses, object frame to stage frame [m].
-        displacement: (T,) mean distance of the object's vertices from where the reconstruction has them [m].
+        displacement: (T,) mean distance of the object's vertices from their reconstructed positions [m].
         free: (T,) True in the frames after the object was let go.
-        assumed: what is assumed of the physics, in words.
+        assumed: assumptions about the physics, in words.
     """
 
     T_stage_obj: Float[ndarray, "T 4 4"]
@@ -72,7 +72,7 @@ class Replay:
 
     @property
     def stays(self) -> float:
-        """Share of the frames after the object was let go in which it is in the hand."""
+        """Fraction of the frames after the release in which the object is in the hand."""
         return float((self.displacement[self.free] < MAX_STABLE_DISPLACEMENT_M).mean())
 
 
@@ -92,9 +92,7 @@ def simulate_replay(scene: Scene) -> Replay:
     released, found = min(WELD_TIME_S, times[-1] / 2.0), []
     for time in times:
         while (now := data.time - SETTLING_TIME_S) < time:
-            at = path(
-                np.clip(now + 2.0 * WELD_TIME_CONSTANT_S, 0.0, times[-1])
-            )  # critically damped, welds lag by so much
+            at = path(np.clip(now + WELD_LAG_S, 0.0, times[-1]))
             data.mocap_pos[:] = at[:, :3]
             data.mocap_quat[:] = at[:, 3:] / np.linalg.norm(at[:, 3:], axis=1, keepdims=True)
             data.eq_active[-1] = now < released
@@ -102,12 +100,16 @@ def simulate_replay(scene: Scene) -> Replay:
         found.append(se3.rigid(se3.from_quaternion(data.xquat[-1]), data.xpos[-1]))  # the object is the last body
     T = np.stack(found)
     away = se3.transform(T, scene.object.vertices[None]) - se3.transform(T_stage_obj, scene.object.vertices[None])
-    assumed = f"friction {FRICTION_COEFFICIENT:g}, density {OBJECT_DENSITY_KG_M3:g} kg/m^3, skin pressed in by {1e3 * SKIN_PRESS_DEPTH_M:g} mm; {stage.words}"
+    skin = f"skin pressed in by {1e3 * SKIN_PRESS_DEPTH_M:g} mm; {stage.words}"
+    assumed = f"friction {FRICTION_COEFFICIENT:g}, density {OBJECT_DENSITY_KG_M3:g} kg/m^3, {skin}"
     return Replay(T, np.linalg.norm(away, axis=-1).mean(axis=1), times > released, assumed)
 
 
 def split_hand_by_bones(scene: Scene) -> tuple[list[Float[ndarray, "n 3"]], Float[ndarray, "T P 4 4"]]:
-    """Split the hand's vertices by its bones into rigid parts, posed as their vertices move. Raises ``UsageError``."""
+    """Split the hand's vertices by bones into rigid parts, with poses fitted to their vertices in each frame.
+
+    Raises ``UsageError`` for a hand without joints.
+    """
     if scene.joints is None:
         raise UsageError(f"missing joints in hand.npz of the clip {scene.name}: replay needs 21")
     distance = bone_distances(scene)
@@ -126,7 +128,7 @@ def split_hand_by_bones(scene: Scene) -> tuple[list[Float[ndarray, "n 3"]], Floa
 def _build_model(
     library: ModuleType, parts: list[Float[ndarray, "n 3"]], object_: Mesh, T: Float[ndarray, "N 4 4"]
 ) -> tuple[MjModel, MjData]:
-    """Make the model, its bodies where they begin: those of the hand, then the object; MuJoCo makes points convex."""
+    """Make the model: convex hulls of the hand's parts, then of the object's pieces, at their first poses ``T``."""
     spec = library.MjSpec()
     spec.option.timestep, spec.option.impratio = SIMULATION_STEP_S, 10.0
     spec.option.cone = library.mjtCone.mjCONE_ELLIPTIC
@@ -143,18 +145,13 @@ def _build_model(
         for k, points in enumerate(meshes):
             name = f"mesh_{n}_{k}"
             spec.add_mesh(name=name, uservert=points.ravel())
-            shape = {
-                "type": library.mjtGeom.mjGEOM_MESH,
-                "meshname": name,
-                "condim": 4,
-                "solref": [CONTACT_TIME_CONSTANT_S, 1.0],
-            }
-            body.add_geom(**shape, friction=[FRICTION_COEFFICIENT, 0.005, 1e-4], **kind)
+            contact = {"solref": [CONTACT_TIME_CONSTANT_S, 1.0], "friction": [FRICTION_COEFFICIENT, 0.005, 1e-4]}
+            body.add_geom(type=library.mjtGeom.mjGEOM_MESH, meshname=name, condim=4, **contact, **kind)
         weld = spec.add_equality(
             type=library.mjtEq.mjEQ_WELD, objtype=library.mjtObj.mjOBJ_BODY, name1=f"target_{n}", name2=f"body_{n}",
             solref=[WELD_TIME_CONSTANT_S, 1.0],
         )  # fmt: skip
-        weld.data[:] = np.isin(np.arange(len(weld.data)), [6, 10])  # both at one place, turned by no angle
+        weld.data[:] = np.isin(np.arange(len(weld.data)), [6, 10])  # the identity as relative pose
     try:
         model = spec.compile()
     except ValueError as error:

@@ -1,14 +1,15 @@
-"""The scene to export: a result with its clip, as poses in time.
+"""The scene to export: a result with its clip, as poses in time; and what several formats derive from it.
 
-A hand as 20 rigid bones between its 21 joints, for programs that know rigid bodies only.
-
-The stage: a frame that stands still, in metres, z up, as simulators and robots need; and the frame of the palm.
+Bones: a hand as 20 rigid bodies between its 21 joints. The stage: a static frame in metres, z up, for simulators and
+robots; joints, the palm and positions with quaternions in it. Text: names and numbers for files.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +19,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.spatial.transform import Rotation, Slerp
 
-from getagrip.clip import Clip, OtherHand, World
+from getagrip.clip import FINGERS, Clip, OtherHand, World
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -28,7 +29,7 @@ from getagrip.result import FrameKind, Reconstruction
 
 OBJECT_COLOUR, HAND_COLOUR = (0.47, 0.60, 0.68), (0.86, 0.68, 0.58)
 EVEN_STEP_TOLERANCE = 0.5
-"""Frames that are no farther off even times are taken for even [steps]."""
+"""Largest deviation from even times at which frames count as evenly spaced [steps]."""
 CAMERA_AXES_NOTE = "camera frame of each image: x right, y down, z forward; X_cam = T_cam_obj @ X_obj; metres"
 
 
@@ -36,22 +37,22 @@ class ExportedHand(NamedTuple):
     """A hand in T frames; arrays as in ``Scene``."""
 
     name: str
-    """Name of its node, its arrays and its files."""
+    """Name of the hand's node, arrays and files."""
     T_cam_hand: Float[ndarray, "T 4 4"]
     vertices: Float[ndarray, "T V 3"]
     faces: Int[ndarray, "F 3"]
     joints: Float[ndarray, "T 21 3"] | None
     known: Bool[ndarray, "T"]
-    """Frames in which it is known; elsewhere it stands as in the nearest of these."""
+    """Frames in which the hand is known; in others it has the pose of the nearest known frame."""
 
     @property
     def in_camera(self) -> Float[ndarray, "T V 3"]:
-        """Its vertices in the camera frame [m]."""
+        """Vertices in the camera frame [m]."""
         return se3.transform(self.T_cam_hand, self.vertices)
 
     @property
     def joints_in_camera(self) -> Float[ndarray, "T 21 3"] | None:
-        """Its joints in the camera frame [m]; None where not known."""
+        """Joints in the camera frame [m]; None where unknown."""
         return None if self.joints is None else se3.transform(self.T_cam_hand, self.joints)
 
 
@@ -62,31 +63,31 @@ class Scene:
     Attributes:
         name: name of the clip.
         method: name of the method.
-        side: which hand.
-        category: what the object is.
+        side: side of the hand.
+        category: category of the object.
         frames: (T,) names of the frames.
-        time: (T,) when each frame was taken [s], as the clip has it.
+        time: (T,) the frames' times in the clip [s].
         fps: frames per second of the clip.
         T_cam_hand: (T, 4, 4) pose of the hand, hand frame to camera frame.
         T_hand_obj: (T, 4, 4) pose of the object, object frame to hand frame.
-        object: the mesh at the size that was found, in the object frame [m].
-        scale: factor by which the clip's mesh was scaled.
+        object: the mesh at its estimated size, in the object frame [m].
+        scale: scale of the clip's mesh.
         hand_vertices: (T, V, 3) the hand's vertices in the hand frame [m].
-        hand_faces: (F, 3) their faces.
-        joints: (T, 21, 3) the hand's joints in the hand frame [m], as in ``HandTrack``; None where not known.
+        hand_faces: (F, 3) vertex ids.
+        joints: (T, 21, 3) the hand's joints in the hand frame [m], as in ``HandTrack``; None where unknown.
         K: (T, 3, 3) intrinsics [px].
         size: width and height of the images [px].
-        iou: (T,) mask IOU of each frame; NaN where no mask shows the object.
-        frame_kind: (T,) how each frame's pose was found: sampled, fitted or interpolated.
+        iou: (T,) mask IOU of each frame; NaN for a mask without a pixel of the object.
+        frame_kind: (T,) kind of each frame: sampled, fitted or interpolated.
         angle: (T,) angle about the latent axis [rad]; None for methods without one.
-        notes: the result's notes: guesses among them.
-        world: where the camera was; None where the clip does not say so.
-        bop: what the BOP benchmark calls the clip's ``dataset``, ``split`` and ``camera``, as the clip's provenance
-            says; empty where it is of none of BOP's.
-        image_files: (T,) files of the images; None where a frame has none.
-        other_hand: of a timeline, the hand of the other side, in the frames in which it is known.
-        probability: that the poses are right relative to the hand; None where that is not calibrated.
-        findings_serious: number of serious findings: with any the result is probably worthless.
+        notes: the result's notes, guesses among them.
+        world: poses of the camera; None for a clip without them.
+        bop: BOP's names of the clip's ``dataset``, ``split`` and ``camera``, from the clip's provenance; empty for a
+            clip of no BOP dataset.
+        image_files: (T,) files of the images; None for a frame without an image.
+        other_hand: of a timeline, the hand of the other side, with the frames in which it is known.
+        probability: calibrated probability that the poses are right relative to the hand; None without calibration.
+        findings_serious: number of serious findings; with any the result is probably worthless.
     """
 
     name: str
@@ -118,16 +119,9 @@ class Scene:
 
     @staticmethod
     def of(result: Reconstruction, clip: Clip) -> Scene:
-        """Make the scene of a result and the clip that it was made from.
-
-        Raises ``InputError`` where the frames are not the clip's.
-        """
-        index = clip.index_of(result.frames)
-        some = (
-            clip.take(index)
-            .warped(result.warp)
-            .with_hand_at(result.T_cam_hand, result.T_cam_other_hand, result.hand_scale)
-        )
+        """Make the scene of a result and its clip. Raises ``InputError`` for frames that the clip lacks."""
+        warped = clip.take(clip.index_of(result.frames)).warped(result.warp)
+        some = warped.with_hand_at(result.T_cam_hand, result.T_cam_other_hand, result.hand_scale)
         return Scene(
             name=clip.name,
             method=result.method,
@@ -158,30 +152,29 @@ class Scene:
         )
 
     def even(self, fps: float) -> Scene:
-        """Return the scene at evenly spaced times, and say so; as it is where its frames are no half step off these.
+        """Return the scene at evenly spaced times, with a printed note; itself if its frames are near such times.
 
-        Poses between frames are interpolated; images, and what is known of a frame, are the nearest frame's.
+        Poses are interpolated; images and other fields are the nearest frame's.
         """
         if len(self.frames) < 2:
             return self
-        there, count = self.time, round(float(self.time[-1] - self.time[0]) * fps) + 1
-        wanted = np.minimum(there[0] + np.arange(count) / fps, there[-1])
-        off = np.abs(there - there[0] - np.arange(len(there)) / fps).max()
+        time, count = self.time, round(float(self.time[-1] - self.time[0]) * fps) + 1
+        wanted = np.minimum(time[0] + np.arange(count) / fps, time[-1])
+        off = np.abs(time - time[0] - np.arange(len(time)) / fps).max()
         if off <= EVEN_STEP_TOLERANCE / fps:
             return self
-        near = np.abs(there - wanted[:, None]).argmin(axis=1)
-        between = np.abs(there[near] - wanted) > EVEN_STEP_TOLERANCE / fps / 5.0
-        print_note(
-            f"{self.name}: frames are up to {1e3 * off:.0f} ms off {fps:g} a second: resampled to {count} even ones"
-        )
+        near = np.abs(time - wanted[:, None]).argmin(axis=1)
+        between = np.abs(time[near] - wanted) > EVEN_STEP_TOLERANCE / fps / 5.0
+        uneven = f"frames are up to {1e3 * off:.0f} ms off {fps:g} a second"
+        print_note(f"{self.name}: {uneven}: resampled to {count} even ones")
 
         def vectors(values: Float[ndarray, "T ..."]) -> Float[ndarray, "n ..."]:
             flat = values.reshape(len(values), -1)
-            columns = [np.interp(wanted, there, flat[:, k]) for k in range(flat.shape[1])]
+            columns = [np.interp(wanted, time, flat[:, k]) for k in range(flat.shape[1])]
             return np.stack(columns, axis=1).reshape(count, *values.shape[1:])
 
         def poses(T: Float[ndarray, "T 4 4"]) -> Float[ndarray, "n 4 4"]:
-            turned = Slerp(there, Rotation.from_matrix(T[:, :3, :3]))(wanted).as_matrix()
+            turned = Slerp(time, Rotation.from_matrix(T[:, :3, :3]))(wanted).as_matrix()
             return se3.rigid(turned, vectors(T[:, :3, 3]))
 
         kinds: list[FrameKind] = [self.frame_kind[n] for n in near]
@@ -205,7 +198,7 @@ class Scene:
 
     @property
     def T_world_obj(self) -> Float[ndarray, "T 4 4"] | None:
-        """(T, 4, 4) pose of the object, object frame to world frame; None where the world is not known."""
+        """(T, 4, 4) pose of the object, object frame to world frame; None where the world is unknown."""
         return None if self.world is None else np.asarray(self.world.T_world_cam @ self.T_cam_obj)
 
     @property
@@ -216,7 +209,7 @@ class Scene:
 
     @property
     def hands(self) -> list[ExportedHand]:
-        """The clip's own hand and, where there is one, that of the other side."""
+        """The clip's own hand and, if any, that of the other side."""
         if self.other_hand is None:
             return [self.hand]
         of = self.other_hand.track
@@ -225,12 +218,12 @@ class Scene:
 
     @property
     def joints_in_camera(self) -> Float[ndarray, "T 21 3"] | None:
-        """The hand's joints in the camera frame [m]; None where not known."""
+        """The hand's joints in the camera frame [m]; None where unknown."""
         return self.hand.joints_in_camera
 
     @property
     def poses(self) -> dict[str, Float[ndarray, "T 4 4"]]:
-        """All poses that are known, by name."""
+        """All known poses, by name."""
         found = {"T_cam_obj": self.T_cam_obj, "T_hand_obj": self.T_hand_obj, "T_cam_hand": self.T_cam_hand}
         if self.world is not None:
             found["T_world_cam"] = self.world.T_world_cam
@@ -244,7 +237,11 @@ class Scene:
         return self.hand.in_camera
 
     def about(self, written: dict[str, str]) -> files.Json:
-        """Return the content of ``about.json``, which goes beside the files of any format."""
+        """Return the content of ``about.json``, which accompanies the files ``written`` of any format."""
+        other = None
+        if self.other_hand is not None:
+            hand = self.hands[1]
+            other = {"known": hand.known, "T_cam_hand": hand.T_cam_hand, "joints_cam": hand.joints_in_camera}
         return {
             "clip": self.name,
             "method": self.method,
@@ -261,44 +258,47 @@ class Scene:
             "world_up": None if self.world is None else self.world.up,
             "poses": self.poses,
             "joints_cam": self.joints_in_camera,
-            "other_hand": None if self.other_hand is None else _hand_arrays(self.hands[1]),
+            "other_hand": other,
         }
 
 
-def _hand_arrays(hand: ExportedHand) -> dict[str, object]:
-    """Describe a hand's pose, and the frames in which it is known."""
-    return {"known": hand.known, "T_cam_hand": hand.T_cam_hand, "joints_cam": hand.joints_in_camera}
-
-
 def safe_file_name(text: str) -> str:
-    """Turn a text into a part of a file name or an identifier of any program: letters, digits, points and hyphens."""
+    """Convert text to letters, digits, points and hyphens, for file names and identifiers of any program."""
     return re.sub(r"[^A-Za-z0-9.-]+", "-", text).strip("-.")[:80] or "clip"
 
 
 def frame_file_names(frames: Sequence[str]) -> list[str]:
-    """Return file names of the frames: their own names where all can be, else their places."""
+    """Return file names of the frames: the frames' names if all are portable, else their indices."""
     if all(map(files.is_portable_name, frames)):
         return list(frames)
     return [f"{n:06d}" for n in range(len(frames))]
 
 
+def format_vector(values: Float[ndarray, "*n"]) -> str:
+    """Write numbers with spaces between them."""
+    return " ".join(f"{x:.9g}" for x in np.ravel(values))
+
+
+def csv_text(rows: Iterable[Iterable[object]]) -> bytes:
+    """Write rows as CSV in UTF-8."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue().encode()
+
+
 def _provenance_file_names(entry: object) -> dict[str, str]:
-    """Names of a clip's provenance as they can be in those of files; nothing of what are none."""
+    """Return the texts of a provenance entry, safe for file names."""
     named = entry.items() if isinstance(entry, dict) else ()
     return {str(key): safe_file_name(value) for key, value in named if isinstance(value, str)}
 
 
-HAND_JOINT_NAMES = (
-    "wrist",
-    *(f"{finger}_{part}" for finger in ("thumb", "index", "middle", "ring", "pinky") for part in (1, 2, 3, "tip")),
-)
+HAND_JOINT_NAMES = ("wrist", *(f"{finger}_{part}" for finger in FINGERS for part in (1, 2, 3, "tip")))
 """Names of the 21 joints in this package's order: wrist, then each finger from the palm to the tip."""
 BONE_END_JOINTS = tuple((0 if n % 4 == 1 else n - 1, n) for n in range(1, 21))
 """The joints at the beginning and the end of each bone."""
 BONE_RADIUS_QUANTILE = 0.25
-"""Share of a bone's vertices that are nearer than its radius."""
+"""Quantile of the distances of a bone's vertices that is the bone's radius."""
 MIN_BONE_RADIUS_M = 0.003
-"""Least radius of a bone [m], whatever the mesh."""
 
 
 @dataclass(frozen=True)
@@ -306,9 +306,9 @@ class Bones:
     """The bones of a hand over T frames.
 
     Attributes:
-        T_hand_bone: (T, 20, 4, 4) poses: the origin is where the bone begins, z along it.
+        T_hand_bone: (T, 20, 4, 4) poses, bone frame to hand frame [m]: the origin at the first joint, z to the second.
         length: (20,) median lengths [m].
-        radius: (20,) half of their thickness [m], such that they lie within the hand.
+        radius: (20,) radii of capsules that lie within the hand [m].
     """
 
     T_hand_bone: Float[ndarray, "T 20 4 4"]
@@ -317,7 +317,7 @@ class Bones:
 
     @staticmethod
     def of(scene: Scene) -> Bones | None:
-        """Return the bones of the scene's hand; None where its joints are not known."""
+        """Return the bones of the scene's hand; None for a hand without joints."""
         if scene.joints is None:
             return None
         begin, end = (scene.joints[:, [pair[k] for pair in BONE_END_JOINTS]] for k in (0, 1))
@@ -331,7 +331,7 @@ class Bones:
 
 
 def bone_distances(scene: Scene) -> Float[ndarray, "V 20"]:
-    """Compute the distance of each vertex from each bone in the first frame [m]. The joints are known."""
+    """Compute the distance of each vertex from each bone in the first frame [m], for a hand with joints."""
     assert scene.joints is not None
     begin, end = (scene.joints[0, [pair[k] for pair in BONE_END_JOINTS]] for k in (0, 1))
     points, along = scene.hand_vertices[0], end - begin
@@ -341,10 +341,7 @@ def bone_distances(scene: Scene) -> Float[ndarray, "V 20"]:
 
 
 def _bone_radii(distance: Float[ndarray, "V 20"]) -> Float[ndarray, "20"]:
-    """Compute each bone's distance to the surface near it, over the vertices that no other bone is nearer to.
-
-    A capsule as thick as the palm would reach into the object.
-    """
+    """Compute the distance of bones to their nearest vertices: a capsule of the palm's thickness reaches the object."""
     owner = np.argmin(distance, axis=1)
     found = [
         np.quantile(distance[owner == n, n], BONE_RADIUS_QUANTILE) if np.any(owner == n) else MIN_BONE_RADIUS_M
@@ -354,20 +351,18 @@ def _bone_radii(distance: Float[ndarray, "V 20"]) -> Float[ndarray, "20"]:
 
 
 Z = np.array([0.0, 0.0, 1.0])
-"""Up on a stage."""
+"""Up in the stage frame."""
 WRIST_JOINT, INDEX_KNUCKLE_JOINT, MIDDLE_KNUCKLE_JOINT, RING_KNUCKLE_JOINT = 0, 5, 9, 13
-"""The wrist, and knuckles, among the 21 joints."""
 FINGERTIP_JOINTS = (4, 8, 12, 16, 20)
-"""Fingertips, thumb to pinky."""
 
 
 @dataclass(frozen=True)
 class StageFrame:
-    """A frame that stands still, z up.
+    """A static frame, z up.
 
     Attributes:
         T_stage_cam: (T, 4, 4) pose of the camera, camera frame to stage frame [m].
-        words: what the frame is, and what of it is a guess.
+        words: definition of the frame, with its guesses.
     """
 
     T_stage_cam: Float[ndarray, "T 4 4"]
@@ -377,7 +372,7 @@ class StageFrame:
     def of(scene: Scene) -> StageFrame:
         """Make the stage: the world frame turned z up.
 
-        Without a world the camera is taken to stand still, without up to be level.
+        Without a world the camera is assumed to be static, without up to be level.
         """
         up = None if scene.world is None else scene.world.up
         if scene.world is None:
@@ -399,17 +394,17 @@ class StageFrame:
 
 
 def joints_on_stage(scene: Scene, stage: StageFrame, to: str) -> Float[ndarray, "T 21 3"]:
-    """Return the joints, z up [m]. Raises ``UsageError``, in the name of a format, where they are not known."""
+    """Return the joints in the stage frame [m]. Raises ``UsageError``, for the format ``to``, without joints."""
     if scene.joints is None:
         raise UsageError(f"missing joints in hand.npz of the clip {scene.name}: --to {to} needs 21")
     return se3.transform(stage.poses(scene)[1], scene.joints)
 
 
 def palm_orientation(joints: Float[ndarray, "T 21 3"], side: str, across: int) -> Float[ndarray, "T 3 3"]:
-    """Return the palm's orientation.
+    """Return the palm's orientation: z from the wrist to the middle knuckle, y of a right hand to the index finger.
 
-    z points from the wrist to the middle knuckle, y of a right hand to the index finger's side. ``across`` is the
-    knuckle from which the index knuckle is seen. A left hand's x and y are turned round.
+    The plane of y and z contains the direction from the knuckle ``across`` to the index knuckle. x and y of a left hand
+    are reversed.
     """
     z = _normalise(joints[:, MIDDLE_KNUCKLE_JOINT] - joints[:, WRIST_JOINT])
     x = _normalise(np.cross(joints[:, INDEX_KNUCKLE_JOINT] - joints[:, across], z))
@@ -419,16 +414,13 @@ def palm_orientation(joints: Float[ndarray, "T 21 3"], side: str, across: int) -
 
 
 def pose7(T: Float[ndarray, "T 4 4"], last: str) -> Float[ndarray, "T 7"]:
-    """Return positions [m] and quaternions: first the position, then (w, x, y, z).
-
-    Or (x, y, z, w), then the position.
-    """
+    """Return positions [m] and quaternions: position, (w, x, y, z) or, for ``xyzw``, (x, y, z, w), position."""
     q, t = se3.quaternions_in_time(T[:, :3, :3]), T[:, :3, 3]
     return np.concatenate([t, q] if last == "wxyz" else [np.roll(q, -1, axis=1), t], axis=1)
 
 
 def extra_arrays(scene: Scene) -> dict[str, ndarray]:
-    """Return the arrays that the programs pass over: all poses, times and the kinds of the frames' poses."""
+    """Return arrays that the formats' readers ignore: all poses, times, and names and kinds of frames."""
     return {
         **scene.poses,
         "time_s": scene.time,

@@ -1,9 +1,9 @@
 """SPIDER (Pan et al., 2025; https://github.com/facebookresearch/spider): keypoint trajectories in its folders.
 
-As its readers of datasets write them: ``trajectory_keypoints.npz`` with, for each side, the poses of the wrist (T, 7),
-of the five fingertips (T, 5, 7) and of the object (T, 7), each a position [m] and a quaternion (w, x, y, z), z up; and
+The layout is that of its dataset readers: ``trajectory_keypoints.npz`` with the poses of the wrist (T, 7), the five
+fingertips (T, 5, 7) and the object (T, 7) of each side, as positions [m] and quaternions (w, x, y, z), z up; and
 ``task_info.json`` with the time between frames and the folder of ``visual.obj``. The wrist's z points to the middle
-knuckle. What the clip does not have is the identity.
+knuckle. Poses of the side that the clip lacks are the identity.
 """
 
 from __future__ import annotations
@@ -33,33 +33,27 @@ IDENTITY_POSE7 = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
-    """Write SPIDER's ``processed`` folder. Raises ``UsageError`` where joints are not known."""
+    """Write SPIDER's ``processed`` folder. Raises ``UsageError`` for a hand without joints."""
     if len(scene.frames) > 1:
         scene = scene.even(1.0 / float(np.median(np.diff(scene.time))))
     stage = StageFrame.of(scene)
     joints = joints_on_stage(scene, stage, "spider")
     T_stage_obj, _ = stage.poses(scene)
-    count = len(scene.frames)
-    value = {
-        "wrist": pose7(
-            se3.rigid(palm_orientation(joints, scene.side, RING_KNUCKLE_JOINT), joints[:, WRIST_JOINT]), "wxyz"
-        ),
-        "finger": np.concatenate(
-            [joints[:, FINGERTIP_JOINTS], np.tile(IDENTITY_POSE7[3:], (count, len(FINGERTIP_JOINTS), 1))], axis=-1
-        ),
+    T_stage_wrist = se3.rigid(palm_orientation(joints, scene.side, RING_KNUCKLE_JOINT), joints[:, WRIST_JOINT])
+    unturned = np.tile(IDENTITY_POSE7[3:], (len(joints), len(FINGERTIP_JOINTS), 1))
+    own = {
+        "wrist": pose7(T_stage_wrist, "wxyz"),
+        "finger": np.concatenate([joints[:, FINGERTIP_JOINTS], unturned], axis=-1),
         "obj": pose7(T_stage_obj, "wxyz"),
     }
-    content = {}
+    content: dict[str, np.ndarray] = {}
     for side in ("right", "left"):
-        for name, poses in value.items():
-            content[f"qpos_{name}_{side}"] = (
-                poses if side == scene.side else np.broadcast_to(IDENTITY_POSE7, poses.shape)
-            )
+        for name, poses in own.items():
+            none = np.broadcast_to(IDENTITY_POSE7, poses.shape)
+            content[f"qpos_{name}_{side}"] = poses if side == scene.side else none
     content |= {"timestamps": np.round(1e9 * scene.time).astype(np.int64), "joints": joints, **extra_arrays(scene)}
-    task, mesh_folder = (
-        safe_file_name(scene.name),
-        f"processed/{SPIDER_DATASET_NAME}/assets/objects/{safe_file_name(scene.name)}",
-    )
+    task = safe_file_name(scene.name)
+    mesh_folder = f"processed/{SPIDER_DATASET_NAME}/assets/objects/{task}"
     clip_folder = f"processed/{SPIDER_DATASET_NAME}/mano/{scene.side}/{task}"
     trajectory, info, mesh = f"{clip_folder}/0/trajectory_keypoints.npz", f"{clip_folder}/task_info.json", "visual.obj"
     (folder / trajectory).parent.mkdir(parents=True)
@@ -73,11 +67,11 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         "embodiment_type": scene.side,
         "data_id": 0,
         **{f"{side}_object_mesh_dir": mesh_folder if side == scene.side else None for side in ("right", "left")},
-        "ref_dt": float(np.median(np.diff(scene.time))) if count > 1 else 1.0 / scene.fps,
+        "ref_dt": float(np.median(np.diff(scene.time))) if len(joints) > 1 else 1.0 / scene.fps,
     }
     files.write_json(folder / info, about)
     return {
         trajectory: f"positions and quaternions (w, x, y, z); {stage.words}; T_a_b, time_s, frame_kind are ours",
         info: "SPIDER's record; ref_dt, the time between frames [s], is the median; folders are relative; metres",
-        f"{mesh_folder}/{mesh}": "the object at the size that was found; metres",
+        f"{mesh_folder}/{mesh}": "the object at its estimated size; metres",
     }

@@ -1,7 +1,7 @@
-"""USD: one binary file with the object's and the hands' transforms and the hands' points sampled in time.
+"""USD: one binary file with time-sampled transforms of object and hands, and time-sampled points of the hands.
 
-The stage is in metres (``metersPerUnit`` 1) with ``upAxis`` Z. Its time codes are seconds times ``timeCodesPerSecond``,
-the first frame at 0. USD multiplies rows with matrices, so its matrices are the transposes of ``T_a_b``; its cameras
+The stage is in metres (``metersPerUnit`` 1) with ``upAxis`` Z. Time codes are seconds times ``timeCodesPerSecond``, the
+first frame at 0. USD multiplies row vectors with matrices: its matrices are the transposes of ``T_a_b``. Its cameras
 look along -z with y up.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,12 +26,16 @@ USD_FILE = "scene.usdc"
 USD_CAMERA_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 """From USD's camera axes to this package's."""
 CAMERA_APERTURE = 20.955
-"""Width of a camera's image in USD's tenths of a unit; any would do, USD's default is taken."""
+"""Width of a camera's image in tenths of a unit: USD's default, since any width will do."""
+
+
+def _pxr(module: str) -> ModuleType:
+    return plugins.import_extra(f"pxr.{module}", "usd")
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write ``scene.usdc``. Raises ``UsageError`` without usd-core."""
-    Usd, UsdGeom = plugins.import_extra("pxr.Usd", "usd"), plugins.import_extra("pxr.UsdGeom", "usd")
+    Usd, UsdGeom = _pxr("Usd"), _pxr("UsdGeom")
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -45,29 +50,23 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     _write_metadata(root, scene, on_stage, codes)
     T_stage_obj, _ = on_stage.poses(scene)
     _add_animated_transform(stage, "/clip/object", T_stage_obj, codes)
-    _add_mesh(
-        stage,
-        "/clip/object/mesh",
-        scene.object.faces,
-        OBJECT_COLOUR,
-        scene.object.vertices[None],
-        [Usd.TimeCode.Default()],
-    )
+    mesh, always = scene.object, [Usd.TimeCode.Default()]
+    _add_mesh(stage, "/clip/object/mesh", mesh.faces, OBJECT_COLOUR, mesh.vertices[None], always)
     for hand in scene.hands:
         _add_usd_hand(stage, hand, np.asarray(on_stage.T_stage_cam @ hand.T_cam_hand), codes)
     _add_camera(stage, scene, on_stage, codes)
     if not stage.GetRootLayer().Export(str(folder / USD_FILE)):
         raise OSError(f"{folder / USD_FILE}: USD could not write it")
+    hands = " and ".join(f"/clip/{hand.name}" for hand in scene.hands)
     return {
-        USD_FILE: f"USD: {on_stage.words}; /clip/object and {' and '.join(f'/clip/{hand.name}' for hand in scene.hands)} "
-        "with time-sampled transforms, a hand's points and joints in its own frame, /clip/camera; /clip has "
-        "T_cam_obj and the like (as USD has it, transposed)"
+        USD_FILE: f"USD: {on_stage.words}; /clip/object and {hands} with time-sampled transforms, a hand's points and "
+        "joints in its own frame, /clip/camera; /clip has T_cam_obj and the like (transposed, as in USD)"
     }
 
 
 def _write_metadata(root: Usd.Prim, scene: Scene, on_stage: StageFrame, codes: list[float]) -> None:
-    """Write what USD has no place for: notes; in time, the frames' names, the kinds of their poses, and all poses."""
-    Sdf = plugins.import_extra("pxr.Sdf", "usd")
+    """Write notes and, sampled in time, names and kinds of frames, times and all poses."""
+    Sdf = _pxr("Sdf")
     notes = {"clip": scene.name, "method": scene.method, "frame": on_stage.words, "notes": "\n".join(scene.notes)}
     root.SetCustomData({"getagrip": {key: text.replace("\0", " ") for key, text in notes.items()}})
     for name, values in {"frame": scene.frames, "frame_kind": scene.frame_kind}.items():
@@ -84,9 +83,7 @@ def _write_metadata(root: Usd.Prim, scene: Scene, on_stage: StageFrame, codes: l
 
 
 def _add_animated_transform(stage: Usd.Stage, path: str, T: Float[ndarray, "T 4 4"], codes: list[float]) -> None:
-    """Add a node whose transform is sampled in time."""
-    UsdGeom = plugins.import_extra("pxr.UsdGeom", "usd")
-    op = UsdGeom.Xform.Define(stage, path).AddTransformOp()
+    op = _pxr("UsdGeom").Xform.Define(stage, path).AddTransformOp()
     for code, matrix in zip(codes, T, strict=True):
         op.Set(_usd_matrix(matrix), code)
 
@@ -94,9 +91,8 @@ def _add_animated_transform(stage: Usd.Stage, path: str, T: Float[ndarray, "T 4 
 def _add_usd_hand(
     stage: Usd.Stage, hand: ExportedHand, T_stage_hand: Float[ndarray, "T 4 4"], codes: list[float]
 ) -> None:
-    """Add a hand's transform, mesh and joints; invisible while it is not known."""
-    UsdGeom = plugins.import_extra("pxr.UsdGeom", "usd")
-    path = f"/clip/{hand.name}"
+    """Add a hand's transform, mesh and joints; invisible in frames without the hand."""
+    UsdGeom, path = _pxr("UsdGeom"), f"/clip/{hand.name}"
     _add_animated_transform(stage, path, T_stage_hand, codes)
     _add_mesh(stage, f"{path}/mesh", hand.faces, HAND_COLOUR, hand.vertices, codes)
     if hand.joints is not None:
@@ -119,8 +115,7 @@ def _add_mesh(
     vertices: Float[ndarray, "T V 3"],
     codes: Sequence[float | Usd.TimeCode],
 ) -> None:
-    """Add a mesh of triangles, its points at some times."""
-    UsdGeom, Vt = plugins.import_extra("pxr.UsdGeom", "usd"), plugins.import_extra("pxr.Vt", "usd")
+    UsdGeom, Vt = _pxr("UsdGeom"), _pxr("Vt")
     mesh = UsdGeom.Mesh.Define(stage, path)
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray([3] * len(faces)))
@@ -133,17 +128,15 @@ def _add_mesh(
 
 def _add_camera(stage: Usd.Stage, scene: Scene, on_stage: StageFrame, codes: list[float]) -> None:
     """Add the clip's camera: apertures in tenths of a unit for the image's width and height."""
-    UsdGeom, Gf = plugins.import_extra("pxr.UsdGeom", "usd"), plugins.import_extra("pxr.Gf", "usd")
+    UsdGeom, Gf = _pxr("UsdGeom"), _pxr("Gf")
     camera = UsdGeom.Camera.Define(stage, "/clip/camera")
     move = camera.AddTransformOp()
     width, height = scene.size
+    pixel = CAMERA_APERTURE / width  # square in USD: the image's height absorbs the ratio of the focal lengths
     camera.CreateHorizontalApertureAttr(CAMERA_APERTURE)
     camera.CreateClippingRangeAttr(Gf.Vec2f(0.01, 100.0))
     for code, T, K in zip(codes, on_stage.T_stage_cam @ USD_CAMERA_AXES, scene.K, strict=True):
         move.Set(_usd_matrix(T), code)
-        pixel = (
-            CAMERA_APERTURE / width
-        )  # USD's pixels are square: K's two focal lengths differ in the height of the image
         camera.CreateFocalLengthAttr().Set(float(K[0, 0] * pixel), code)
         tall = pixel * K[0, 0] / K[1, 1]
         camera.CreateVerticalApertureAttr().Set(float(height * tall), code)
@@ -152,8 +145,8 @@ def _add_camera(stage: Usd.Stage, scene: Scene, on_stage: StageFrame, codes: lis
 
 
 def _usd_points(points: Float[ndarray, "V 3"]) -> Vt.Vec3fArray:
-    return plugins.import_extra("pxr.Vt", "usd").Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
+    return _pxr("Vt").Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
 
 
 def _usd_matrix(T: Float[ndarray, "4 4"]) -> Gf.Matrix4d:
-    return plugins.import_extra("pxr.Gf", "usd").Matrix4d(np.ascontiguousarray(T.T))
+    return _pxr("Gf").Matrix4d(np.ascontiguousarray(T.T))

@@ -1,7 +1,7 @@
 """The energy of Eq. 5 for a clip, at any of its resolutions and frames: E_mask, E_push and E_pull.
 
-Other evidence of the clip counts beside its masks (``object_evidence_energy``). A method adds a term where it builds its energy:
-``plus(energy_of(...), mine)``.
+Other evidence of the clip counts beside its masks (``object_evidence_energy``). A method adds its own terms where it
+builds its energy: ``sum_energies(energy_of(...), mine)``.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ MASK_STEP_PX = {64: 1.0, 128: 2.0, 256: 3.0}
 MIN_CURVATURE_DISTANCE_PX = {64: 2.0, 128: 1.0, 256: 1.0}
 """Distances below this count as this in the curvature of E_mask [px of the crop]."""
 N_REGION_CONTACTS = {64: 8, 128: None, 256: None}
-"""Vertices of each contact region in use at each level; all of them at the finer ones."""
+"""Number of vertices of each contact region in use at each level; None: all."""
 MAX_FINE_FACES = 4000
-"""Most faces for the finer silhouettes; larger objects are decimated (for the others: ``surface``)."""
+"""Maximum number of faces for the silhouettes of the finer levels; larger objects are decimated."""
 PUSH_WEIGHT, PULL_WEIGHT = 0.125, 0.015
-"""The paper sums E_mask over pixels, which leaves push and pull without effect; the authors' code divides it by the
-area of the mask. Ours multiplies push and pull by these fractions of the mean area of the masks instead. Pull has less:
-a hand may well go without touching with all five fingertips, but not into the object.
+"""Fractions of the masks' mean area that push and pull are multiplied by. The paper sums E_mask over pixels, which
+leaves push and pull without effect; the authors' code divides E_mask by the area of the mask instead. Pull has less
+weight: a hand may well not touch the object with all five fingertips, but it cannot enter the object.
 """
 N_CONSISTENCY_REGION_POINTS, N_CONSISTENCY_OBJECT_POINTS = 2, 20
-"""Points of each contact region of the hand, and of the object, that stand for all where distances are to stay."""
+"""Number of points of each contact region, and of the object, in the term of contact consistency."""
 
 
 def energy_of(problem: Problem, push: float, pull: float) -> Energy:
@@ -50,12 +50,11 @@ def energy_of(problem: Problem, push: float, pull: float) -> Energy:
 
 def object_evidence_energy(problem: Problem) -> Energy:
     """Return the terms of all evidence on the object: E_mask first, since masks are the first modality."""
-    energies = (terms.object for terms in problem.evidence)
-    return sum_energies(*(energy for energy in energies if energy is not None))
+    return sum_energies(*(terms.object for terms in problem.evidence if terms.object is not None))
 
 
 def hand_evidence_energy(problem: Problem) -> Energy:
-    """Return the terms of all evidence on a hand that is unknown as well; nothing where it is fixed."""
+    """Return the terms of all evidence on a hand whose pose is unknown; nothing where the hand is fixed."""
     energies = [terms.hand for terms in problem.evidence]
     return lambda level, index: [OnHand(one) for hand in energies if hand is not None for one in hand(level, index)]
 
@@ -80,21 +79,21 @@ def reprojection_energy(problem: Problem) -> HandEnergy:
     """Return the reprojection of the hand's joints."""
 
     @cache
-    def seen() -> tuple[SeenJoints | None, float]:
+    def seen() -> SeenJoints | None:
         refinement = problem.refinement
         if refinement is None:
-            return SeenJoints.of(problem.clip, problem.input_masks), energy_of_nat(problem)
-        return refinement.joints and replace(refinement.joints, errors=refinement.bent), energy_of_nat(problem)
+            return SeenJoints.of(problem.clip, problem.input_masks)
+        return refinement.joints and replace(refinement.joints, errors=refinement.bent)
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[HandTerm]:
-        joints, weight = seen()
-        return [] if joints is None else [SeenJointsTerm(joints.take(index), weight)]
+        joints = seen()
+        return [] if joints is None else [SeenJointsTerm(joints.take(index), energy_of_nat(problem))]
 
     return terms
 
 
 def energy_of_nat(problem: Problem) -> float:
-    """Compute the energy that weighs as much as a nat of likelihood [px^2 of the object's crop]."""
+    """Compute the energy that is worth a nat of likelihood [px^2 of the object's crop]."""
     crop = hand_crops(problem.clip).intrinsics(problem.clip.K)[:, 0, 0]
     return float(np.mean((problem.observation.K[:, 0] / crop) ** 2)) / HAND_PIXEL_WEIGHT
 
@@ -107,18 +106,8 @@ def mask_energy(problem: Problem) -> Energy:
     mesh[128] = mesh[256] = mesh[64] if fine is coarse else SilhouetteMesh.of(fine, centre)
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
-        coverage = 1.0 if level == 64 else 0.0
-        observed = observation.take(index)
-        return [
-            MaskTerm(
-                mesh[level],
-                observed,
-                level,
-                step=MASK_STEP_PX[level],
-                delta=MIN_CURVATURE_DISTANCE_PX[level],
-                coverage=coverage,
-            )
-        ]
+        step, delta, coverage = MASK_STEP_PX[level], MIN_CURVATURE_DISTANCE_PX[level], 1.0 if level == 64 else 0.0
+        return [MaskTerm(mesh[level], observation.take(index), level, step, delta, coverage)]
 
     return terms
 
@@ -130,8 +119,7 @@ def contact_energy(problem: Problem, push: float, pull: float) -> Energy:
     """
     push_weight, pull_weight = contact_weights(problem, push, pull)
     return sum_energies(
-        push_energy(problem, push_weight) if push else NO_TERMS,
-        pull_energy(problem, pull_weight) if pull else NO_TERMS,
+        push_energy(problem, push_weight) if push else NO_TERMS, pull_energy(problem, pull_weight) if pull else NO_TERMS
     )
 
 
@@ -143,21 +131,20 @@ def contact_weights(problem: Problem, push: float, pull: float) -> tuple[Float[n
 
 def push_energy(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     """Return our E_push, by its weight in each frame [px^2 / m]."""
-    hands, solid = _contacts_by_level(problem), problem.surface.solid
+    hands, solid = contacts_by_level(problem), problem.surface.solid
     return lambda level, index: [InHand(PushTerm(solid, hands[level].take(index), weight[index]))]
 
 
 def pull_energy(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     """Return our E_pull, by its weight in each frame [px^2 / m]."""
-    hands, solid = _contacts_by_level(problem), problem.surface.solid
-    reach = problem.trust.reach
+    hands, solid, reach = contacts_by_level(problem), problem.surface.solid, problem.trust.reach
     return lambda level, index: [InHand(PullTerm(solid, hands[level].take(index), weight[index], reach))]
 
 
 def depth_order_energy(problem: Problem) -> Energy:
-    """Return the term of order in depth, by the weight of push, for hands that were lifted and whose pixels are known.
+    """Return the term of order in depth, by the weight of push, for lifted hands with hand masks.
 
-    Other hands are placed by what their estimators know of depth; what push lets through there is small.
+    Other hands' distances come from their estimators; penetrations that push leaves in them are small.
     """
     masks, weight = problem.input_masks, problem.trust.contact * problem.options.push
     if not (problem.trust.hand_lifted and weight) or masks.hand is None:
@@ -167,28 +154,24 @@ def depth_order_energy(problem: Problem) -> Energy:
     return lambda level, index: [InHand(OrderTerm(corners, hand.take(index), each[index]))]
 
 
-def _contacts_by_level(problem: Problem) -> dict[int, HandContacts]:
+def contacts_by_level(problem: Problem) -> dict[int, HandContacts]:
     """Return the hand's contacts, at each level."""
     return {level: HandContacts.of(problem.clip.hand, count) for level, count in N_REGION_CONTACTS.items()}
 
 
 def distance_consistency_energy(problem: Problem, weight: float) -> Energy:
-    """Make the term by which hand and object keep their distances, at any level.
+    """Return the term by which hand and object keep their distances, at any level.
 
-    ``weight`` is that of the mean absolute change of squared distances, before the focal length and the masks' mean
+    ``weight`` multiplies the mean absolute change of squared distances, besides the focal length and the masks' mean
     area: 1 in the authors' later code.
     """
     observation = problem.observation
     vertices = problem.clip.mesh.vertices - problem.clip.mesh.centre
     points = vertices[farthest_point_sampling(vertices, N_CONSISTENCY_OBJECT_POINTS)]
     hand = HandContacts.of(problem.clip.hand, N_CONSISTENCY_REGION_POINTS)
-    # Their masks' term is divided by the mask's area, ours is not.
+    # The authors' E_mask is divided by the mask's area, ours is not.
     each = weight * observation.area.mean() * observation.K[:, 0]
-
-    def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
-        return [InHand(ContactConsistencyTerm(points, hand.position[index], each[index]))]
-
-    return terms
+    return lambda level, index: [InHand(ContactConsistencyTerm(points, hand.position[index], each[index]))]
 
 
 def sum_energies(*energies: Energy) -> Energy:

@@ -25,13 +25,13 @@ class PriorsFile:
 
     path: Path
     sha256: str = ""
-    """Checksum of its content when it was named (``pose_priors.identified``), for the record in results."""
+    """Checksum of its content when the options were made, for the record in results."""
     first: int | None = None
-    """The number of the first frame's pose, of poses that are counted from another start than the clip's frames."""
+    """The number of the first frame's pose, where poses are numbered from another start than the clip's frames."""
 
     @classmethod
     def of(cls, text: str) -> PriorsFile:
-        """Make it from a path, as a user types it."""
+        """Make the choice from a path that a user types."""
         return cls(Path(expand_user_path(text)))
 
 
@@ -39,11 +39,9 @@ class PriorsFile:
 class Departures:
     """Ablation switches: each replaces one part of the paper's method by ours.
 
-    With none, it is the paper's.
-
-    With all of them it is ``one-dof`` with ``hands="as-given"``; but where the scale is free ``one-dof`` has twice as
-    many initial poses, and gaps between the masks (``mask_gaps``) count as background here. Raises ``UsageError`` for a
-    search without its optimiser.
+    With all of them the method is ``one-dof`` with ``hands="as-given"``; but where the scale is free ``one-dof`` has
+    twice as many initial poses, and gaps between the masks count as background here. Raises ``UsageError`` for a search
+    without its optimiser.
 
     Attributes:
         scale: push is a mean over vertices, as pull is over fingers, and both weigh by the area of the masks
@@ -54,7 +52,7 @@ class Departures:
             object (``PaperPullTerm``).
         axis: axis and angles start from the data, by a coarse static and a coarse relaxed fit (``Search.relax``),
             instead of at the CAD's z-axis and at zero.
-        optimiser: Levenberg-Marquardt (``solve.minimise``), instead of Adam (``adam.descend``).
+        optimiser: Levenberg-Marquardt (``solve.minimise``), instead of Adam (``solve.minimise_by_adam``).
         search: coarse to fine, pruned and rotated (``Search``), instead of every initial pose to its end.
         choice: the least energy, instead of the best IOU.
     """
@@ -73,15 +71,12 @@ class Departures:
 
 
 NO_DEPARTURE = Departures()
-"""No departure."""
-
-
+"""The paper's method."""
 FREE_SCALE_START_FACTOR = 2
-"""Times as many initial poses where the scale is free: another size makes up for a wrong turn for longer."""
+"""Factor on the number of initial poses where the scale is free: another size compensates a wrong rotation longer."""
 
 
-def _methods(default: str) -> str:
-    """List the methods that there are when help is shown."""
+def _methods(default: str) -> str:  # called when help is shown
     return f"(one of {', '.join(METHODS)}; default: {default})"
 
 
@@ -136,9 +131,8 @@ class SearchOptions(NamedFields):
         if self.priors is not None and not self.priors.sha256:
             from getagrip.fitting.solver.initial_poses import priors_checksum
 
-            object.__setattr__(
-                self, "priors", replace(self.priors, sha256=priors_checksum(self.priors.path, self.init))
-            )
+            checked = replace(self.priors, sha256=priors_checksum(self.priors.path, self.init))
+            object.__setattr__(self, "priors", checked)
 
 
 @explain_fields

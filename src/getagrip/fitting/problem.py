@@ -1,7 +1,4 @@
-"""The input and output of every method: a clip prepared for fitting, and the poses found.
-
-An object's surface about its centre, by which the search measures how far apart two poses are.
-"""
+"""The input and output of every method: a clip prepared for fitting, and the poses found."""
 
 from __future__ import annotations
 
@@ -43,23 +40,33 @@ from getagrip.provenance import assumptions, is_assumed, kind_of_hands
 from getagrip.result import Axis, Status
 
 MAX_COARSE_FACES = 1000
-"""Most faces for contact and for 64-pixel silhouettes; larger objects are decimated."""
+"""Maximum number of faces for contact and for 64-pixel silhouettes; larger objects are decimated."""
 N_SURFACE_POINTS = 48
-"""Points of the surface that are compared."""
+"""Number of surface points that distances between poses are averaged over."""
 HALF_TURN_DISTANCE_RANGE = (0.003, 0.06)
-"""A half turn about a principal axis nearly leaves the surface as it is, where it moves it by so much [diameters]: less
-is not seen, and after more another fit is not taken for a copy (``search.SAME``)."""
+"""Distance that a half turn about a principal axis moves a nearly symmetric surface [diameters]: less is not visible,
+and after more the turned fit is no copy (``search.DUPLICATE_DISTANCE_DIAMETERS``)."""
 HALF_TURN_TOLERANCE_RAD = np.radians(30.0)
-"""Fits of an object both ways round differ by half a turn, but for so much."""
+"""Maximum deviation from half a turn between fits of an object both ways round."""
+FITTED_MESH_CONTACT_FACTOR = 4.0
+"""Factor on the weight of contact where the mesh is fitted. The masks then tell size and distance less well, and the
+hand determines them better."""
+MAX_PULL_DISTANCE_M, FITTED_PULL_DISTANCE_M = 0.01, CONTACT_GRID_MARGIN_M
+"""Maximum distance at which a finger is pulled to the object, and the same for a fitted mesh, which may be that much
+nearer or farther than the object [m]; a finger beyond is taken to hold nothing."""
+LIFTED_HAND_COUPLING_FACTOR = 0.2
+"""Factor on the terms that couple the object to the hand's motion where the hand's size is assumed: hands lifted from
+2D turn and move by ten degrees and a centimetre where the true ones rest. Chosen on the phone videos of docs/draft.md.
+"""
 
 
 @dataclass(frozen=True)
 class ObjectSurface:
-    """The surface of a rigid object.
+    """The surface of a rigid object, by which the search measures distances between poses.
 
     Attributes:
         coarse: the mesh, decimated.
-        solid: its surface about the centre of the mesh as it was given.
+        solid: its surface about the centre of the input mesh.
         points: (P, 3) points of the surface, about that centre.
         axes: (3, 3) principal axes of the vertices, one a row.
         diameter: of the mesh [m].
@@ -82,18 +89,18 @@ class ObjectSurface:
 
     @cached_property
     def half_turns(self) -> Float[ndarray, "T 3 3"]:
-        """Half turns about the principal axes that nearly leave the surface as it is: T from 0 to 3."""
+        """Half turns about the principal axes that map the surface nearly onto itself: T from 0 to 3."""
         turns = se3.exp_so3(np.pi * self.axes)
         moved = self.moved_by(turns)
         return turns[(moved > HALF_TURN_DISTANCE_RANGE[0]) & (moved < HALF_TURN_DISTANCE_RANGE[1])]
 
     def moved_by(self, turns: Float[ndarray, "T 3 3"]) -> Float[ndarray, "T"]:
-        """Return how far turns move the surface, root mean square distance [diameters]."""
+        """Measure how far turns move the surface, root mean square [diameters]."""
         middle = np.zeros((len(turns), 1, 3))
         return self.rms_distance(np.eye(3)[None], np.zeros((1, 3)), 1.0, turns[:, None], middle, np.ones(len(turns)))
 
     def half_turned(self, R: Float[ndarray, "N 3 3"], others: Float[ndarray, "C N 3 3"]) -> Bool[ndarray, "C"]:
-        """Return which of C other rotations, over N frames, differ by one of the half turns."""
+        """Mark the rotations, of C over N frames, that differ from R by one of the half turns."""
         between = np.swapaxes(R, -1, -2) @ others
         off = [se3.angle_between(between, turn).max(axis=-1) for turn in self.half_turns]
         return np.any(np.array(off).reshape(-1, len(others)) < HALF_TURN_TOLERANCE_RAD, axis=0)
@@ -108,28 +115,15 @@ class ObjectSurface:
         others_scale: Float[ndarray, "C"],
         within: float = np.inf,
     ) -> Float[ndarray, "C"]:
-        """Compute the root mean square distance of the posed surface from C other poses of it, in diameters.
+        """Compute the root mean square distance of the posed surface from C other poses of it [diameters].
 
-        A bottle that is rotated about its axis has not moved. Where the two are far apart, this is a lower bound, and
-        infinite where it is more than ``within``.
+        A bottle that is rotated about its axis has not moved. Of distant poses the result is a lower bound, and beyond
+        ``within`` infinite.
         """
         arrays = map(np.ascontiguousarray, (R, centre, others_R, others_centre, others_scale))
         at_R, at_centre, *others = arrays
         found = rms_distances(self.points, at_R, at_centre, scale, *others, within * self.diameter, *self.solid.tables)
         return np.asarray(found / self.diameter)
-
-
-FITTED_MESH_CONTACT_FACTOR = 4.0
-"""Factor on the weight of contact where the mesh is fitted. The masks then tell size and distance less well, and the
-hand determines them better."""
-MAX_PULL_DISTANCE_M, FITTED_PULL_DISTANCE_M = 0.01, CONTACT_GRID_MARGIN_M
-"""Farthest that a finger may be from the object and still be drawn to it [m]; beyond, it is taken to hold nothing. A
-fitted mesh may be that much nearer or farther than the object."""
-
-
-LIFTED_HAND_COUPLING_FACTOR = 0.2
-"""Factor on what holds the object to the hand's motion where the hand's size is assumed: hands that were lifted from 2D
-turn and move by ten degrees and a centimetre where the true ones rest. Chosen on the phone videos of docs/draft.md."""
 
 
 @dataclass(frozen=True)
@@ -138,13 +132,13 @@ class Trust:
 
     Attributes:
         hand_refined: whether the hand was refined by its own pixels.
-        hand_differing: share of the hand's visible pixels that differ from its silhouette; NaN where it is not known.
-        hand_drawn: whether the drawn hand stands in for missing ignore masks.
-        hand_lifted: whether the hand was lifted from 2D points, at an assumed size or one that depth tells.
-        joints_left_out: whether the hand has 2D joints that did not count where it was refined.
+        hand_differing: fraction of the hand's visible pixels that differ from its silhouette; NaN where unknown.
+        hand_drawn: whether the rendered hand replaces missing ignore masks.
+        hand_lifted: whether the hand was lifted from 2D points, at an assumed size or a size from depth.
+        joints_left_out: whether the hand was refined without its 2D joints.
         mesh_fitted: whether the mesh was warped to the masks.
-        outliers: names of frames with outlier masks, which are left out (``outlier_masks``).
-        outlier_threshold: pixels by which a mask may differ from the predicted silhouette.
+        outliers: names of frames with outlier masks, which are left out (``stages.robust_masks``).
+        outlier_threshold: maximum number of pixels in which a mask may differ from the predicted silhouette.
     """
 
     hand_refined: bool = False
@@ -163,12 +157,12 @@ class Trust:
 
     @property
     def firmness(self) -> float:
-        """Factor on the stiffness of deviations, and on the weight of contact that stays."""
+        """Factor on the stiffness of deviations, and on the weight of contact consistency."""
         return LIFTED_HAND_COUPLING_FACTOR if self.hand_lifted else 1.0
 
     @property
     def reach(self) -> float:
-        """Farthest that a finger may be from the object and still be drawn to it [m]."""
+        """Maximum distance at which a finger is pulled to the object [m]."""
         return FITTED_PULL_DISTANCE_M if self.mesh_fitted else MAX_PULL_DISTANCE_M
 
 
@@ -177,18 +171,18 @@ class Problem:
     """A clip at the frames that are used.
 
     Attributes:
-        clip: the clip, in the frames that are used, all of its evidence in memory, its hand refined where its pixels
-            ask for it, and its fingers where joints were seen from which they are known.
-        masks: its masks, in the same frames; they may ignore what the drawn hand covers besides (``input_masks``).
+        clip: the clip at the sampled frames, its evidence in memory, its hand refined by the hand's pixels, and its
+            fingers by 2D joints.
+        masks: its masks, in the same frames; they may also ignore pixels that the rendered hand covers.
         observation: its masks as crops, with contours.
         surface: surface of the object.
-        options: options of the reconstruction, with as many initial poses as there may be.
-        prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before those with uniform rotations, or alone.
-        notes: dropped frames, guesses, initial poses, what stands in for missing masks.
+        options: options of the reconstruction, with the number of initial poses that this clip's scale asks for.
+        prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before uniform rotations, or alone.
+        notes: dropped frames, assumptions, initial poses, replacements of missing masks.
         threads: number of threads that share the hypotheses of a fit.
         trust: the trust in these inputs.
-        refinement: how an estimated hand was refined, in the problem's frames, so that it is solved with the object;
-            None: it was not, or it was measured.
+        refinement: the refinement of an estimated hand, in the problem's frames, which is then solved with the object;
+            None of a measured or unrefined hand.
     """
 
     clip: Clip
@@ -204,7 +198,7 @@ class Problem:
 
     @property
     def inits(self) -> int:
-        """How many initial poses the object in the hand has: those given, if they stand alone."""
+        """Number of initial poses of the object in the hand: the prior poses alone, if the options say so."""
         return len(self.prior_poses) if self.options.priors_only else self.options.inits
 
     @cached_property
@@ -214,31 +208,30 @@ class Problem:
 
     @property
     def input_masks(self) -> Masks:
-        """The masks of the clip, as they were given."""
+        """The clip's masks as they were read."""
         masks = masks_in_memory(self.clip)
         assert masks is not None
         return masks
 
     def at(self, clip: Clip) -> Problem:
-        """Return the problem in other frames of its clip, with the evidence that these have in memory or in its folder.
+        """Return the problem in other frames of its clip, with their evidence in memory or in the clip's folder.
 
-        Whether the masks leave gaps stays as it was found.
+        Whether the masks leave gaps stays as in this problem. In frames beyond this problem's the hand's refinement is
+        unknown.
         """
         clip = with_evidence(clip)
         masks = read_masks(clip)
-        shown = occluded_by_hand(clip, masks) if self.trust.hand_drawn and not masks.say_what_hides else masks
+        if self.trust.hand_drawn and not masks.say_what_hides:
+            masks = occluded_by_hand(clip, masks)
         gap_share = 0.0 if self.observation.has_gaps else 1.0
-        observation = observe_masks(shown, clip.K, self.options.occlusion, gap_share)
-        return replace(self, clip=clip, masks=shown, observation=observation, refinement=self._refinement_at(clip))
-
-    def _refinement_at(self, clip: Clip) -> HandRefinement | None:
-        """Return the hand's refinement in the frames of a clip; None in others than the problem's."""
-        if self.refinement is None or not {*clip.frames} <= {*self.clip.frames}:
-            return None
-        return self.refinement.take(self.clip.index_of(clip.frames))
+        observation = observe_masks(masks, clip.K, self.options.occlusion, gap_share)
+        refinement = None
+        if self.refinement is not None and {*clip.frames} <= {*self.clip.frames}:
+            refinement = self.refinement.take(self.clip.index_of(clip.frames))
+        return replace(self, clip=clip, masks=masks, observation=observation, refinement=refinement)
 
     def with_hand_found(self, clip: Clip) -> Clip:
-        """Return a clip that has the problem's frames with the hand that was found in them, interpolated in others."""
+        """Return a clip with the problem's hand in the problem's frames, and an interpolated hand in all others."""
         if not self.trust.hand_refined:
             return clip
         at = clip.index_of(self.clip.frames)
@@ -246,29 +239,21 @@ class Problem:
             clip = replace(clip, hand=self.refinement.with_fingers(clip.hand, at))
         return clip.with_hand_at(interpolate_solved_hand(clip.hand.T_cam_hand, self.clip.hand.T_cam_hand, at))
 
-    def with_input_hand(self) -> Problem:
-        """Return the problem with the hand where it was given."""
-        if self.refinement is None:
-            return self
-        return replace(self, clip=self.clip.with_hand_at(self.refinement.seen.errors.tracked.T_cam_hand))
-
     def warped(self, warp: Warp | None) -> Problem:
-        """Return the problem with its mesh deformed, where there is a warp, and contact of more weight."""
+        """Return the problem with its mesh deformed by a warp, if any, and contact of more weight."""
         if warp is None:
             return self
-        clip = self.clip.warped(warp)
-        return replace(
-            self, clip=clip, surface=ObjectSurface.of(clip.mesh), trust=replace(self.trust, mesh_fitted=True)
-        )
+        clip, trust = self.clip.warped(warp), replace(self.trust, mesh_fitted=True)
+        return replace(self, clip=clip, surface=ObjectSurface.of(clip.mesh), trust=trust)
 
     def with_hand(self, hand: SolvedHand) -> Problem:
-        """Return the problem with its hand where it was solved."""
+        """Return the problem with the solved hand."""
         trust = replace(self.trust, hand_refined=True, hand_differing=hand.differing)
         clip = self.clip.with_hand_at(hand.T_cam_hand)
         return replace(self, clip=clip, notes=(*self.notes, str(hand)), trust=trust)
 
     def as_found(self, found: MethodResult) -> Problem:
-        """Return the problem with the mesh and the hand that a method has found."""
+        """Return the problem with the mesh and the hand of a method's result."""
         problem = self.warped(found.warp)
         return problem if found.hand is None else problem.with_hand(found.hand)
 
@@ -279,7 +264,7 @@ EnergyOf = Callable[[Problem], Energy]
 
 @dataclass(frozen=True)
 class MethodResult:
-    """Solutions of a method, best first, no two alike: K of them, in T frames.
+    """Distinct solutions of a method, best first: K of them, in T frames.
 
     Attributes:
         poses: poses of the object about the mesh's centre, in the hand frame.
@@ -287,11 +272,11 @@ class MethodResult:
         terms: energy of the best one, per term.
         status: how the minimisation ended.
         axis: axis of the best one, where the method has one.
-        motion: the motions of the solutions, whose own parameters are fitted in the frames that were not sampled; None
-            where poses are interpolated there.
+        motion: the motions of the solutions, whose per-frame parameters are fitted in the frames that were not sampled;
+            None where poses are interpolated in these frames.
         energy_of: the energy of that fit.
-        warp: what was made of the mesh, where it is not the object's (``shape``); poses and energies are of that.
-        hand: the hand that was solved together with the object; poses are relative to it. None: it is the problem's.
+        warp: the mesh fit (``stages.mesh_deformation``), whose mesh poses and energies are of; None: the input mesh.
+        hand: the hand solved together with the object, to which poses are relative; None: the problem's.
     """
 
     poses: PosesInHand
@@ -306,18 +291,18 @@ class MethodResult:
 
 
 def prepare_problem(clip: Clip, options: Options, threads: int = 1) -> Problem:
-    """Leave out frames without an object, sample the rest linearly, crop.
+    """Leave out frames without an object, sample the rest linearly, crop the masks, refine the hand.
 
-    Masks that the clip does not have in memory are read from its folder, in the frames that are used. With a free scale
-    there are ``FREE_SCALE_START_FACTOR`` times as many initial poses. Raises ``InputError`` for fewer than 2 frames, and for
-    initial poses as ``pose_priors.poses_for`` does.
+    Masks that the clip does not have in memory are read from its folder, in the sampled frames. A free scale multiplies
+    the initial poses by ``FREE_SCALE_START_FACTOR``. Raises ``InputError`` for fewer than 2 frames, and for initial
+    poses as ``read_initial_poses`` does.
     """
     if clip.scale == "free" and not options.as_published:
         options = replace(options, inits=FREE_SCALE_START_FACTOR * options.inits)
     initial = initial_poses.read_initial_poses(clip, options)
     clip = sample_clip_frames(clip, options.frames)
     with ThreadPoolExecutor(1) as pool:
-        surface = pool.submit(ObjectSurface.of, clip.mesh)  # knows nothing of hands and masks
+        surface = pool.submit(ObjectSurface.of, clip.mesh)  # depends on no hands and masks
         if threads == 1:
             wait([surface])
         return _prepare_sampled(clip, options, surface, threads, initial)
@@ -330,7 +315,6 @@ def _prepare_sampled(
     threads: int,
     initial: tuple[Float[ndarray, "k 4 4"], tuple[str, ...]],
 ) -> Problem:
-    """``prepare_problem`` at the frames that are used."""
     masks, notes = read_masks(clip), []
     if clip.left_out:
         one, more = "frame without a mask that shows the object was", "frames without masks that show the object were"
@@ -338,15 +322,15 @@ def _prepare_sampled(
     # For the paper's method gaps between the masks are background.
     gap_share = 1.0 if options.as_published else GAP_SHARE
     observation = observe_masks(masks, clip.K, options.occlusion, gap_share)
-    correction, differing = None, float("nan")
+    refinement, differing = None, float("nan")
     if options.hands == "corrected" and not options.as_published:
-        correction, differing = refine_hand(clip, masks, observation.has_gaps)
-    if correction is not None:
-        hand = correction.with_fingers(clip.hand, np.arange(len(clip)))
-        clip = replace(clip, hand=hand).with_hand_at(correction.T_cam_hand)
-        notes.append(str(correction))
-        if correction.kind != kind_of_hands(clip.provenance):
-            notes.append("the hand counts as estimated, since it was turned farther than measured hands are off")
+        refinement, differing = refine_hand(clip, masks, observation.has_gaps)
+    if refinement is not None:
+        hand = refinement.with_fingers(clip.hand, np.arange(len(clip)))
+        clip = replace(clip, hand=hand).with_hand_at(refinement.T_cam_hand)
+        notes.append(str(refinement))
+        if refinement.kind != kind_of_hands(clip.provenance):
+            notes.append("the hand counts as estimated: it was turned farther than the errors of measured hands allow")
     hand_drawn = options.occlusion and not masks.say_what_hides
     if hand_drawn:
         masks = occluded_by_hand(clip, masks)
@@ -361,17 +345,17 @@ def _prepare_sampled(
         clip=clip, masks=masks, observation=observation, surface=surface.result(),
         options=options, prior_poses=initial[0], notes=tuple(notes), threads=threads,
         trust=Trust(
-            correction is not None, differing, hand_drawn, hand_lifted=lifted,
-            joints_left_out=correction is not None and correction.joints is None and clip.hand.joints_2d is not None,
+            refinement is not None, differing, hand_drawn, hand_lifted=lifted,
+            joints_left_out=refinement is not None and refinement.joints is None and clip.hand.joints_2d is not None,
         ),
-        refinement=correction if correction is not None and correction.kind == "estimated" else None,
+        refinement=refinement if refinement is not None and refinement.kind == "estimated" else None,
     )  # fmt: skip
 
 
 def sample_clip_frames(clip: Clip, frames: int) -> Clip:
-    """Return the frames that are used, with their evidence. That of other frames is read one by one, and not kept.
+    """Sample the clip's frames, with their evidence; other frames' masks are read one by one, and not kept.
 
-    Raises ``InputError`` as reading it does, and for fewer than two frames that show the object.
+    Raises ``InputError`` as reading evidence does, and for fewer than two frames that show the object.
     """
     if masks_in_memory(clip) is None and len(clip) <= frames:
         clip = with_masks(clip, read_masks(clip))

@@ -1,36 +1,15 @@
-"""Pinhole cameras and square crops. Pixel (row i, column j) has its centre at (u, v) = (j + 0.5, i + 0.5).
+"""Pinhole cameras and square crops.
 
-The camera as a user states it: options of several commands, light to load.
-
-Lens distortion as OpenCV models it, and its removal from images: options of ``clip new``, light to load.
-
-With (x, y) = (X, Y) / Z and r^2 = x^2 + y^2 (OpenCV, "Camera Calibration and 3D Reconstruction"):
-
-- usual lenses: (x, y) (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), and tangentially
-  (2 p1 x y + p2 (r^2 + 2 x^2), p1 (r^2 + 2 y^2) + 2 p2 x y); then thin prism and tilt;
-- fisheye lenses: (x, y) theta_d / r, theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), theta =
-  atan(r).
-
-Pixels have their centres at halves here, at integers in OpenCV: 0.5 is taken off.
+Pixel (row i, column j) has its centre at (u, v) = (j + 0.5, i + 0.5).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 from numpy import ndarray
-from tyro.conf import arg
-
-from getagrip.errors import UsageError
-from getagrip.io.options import Flag, numbers_argument
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, UInt8
-    from numpy import ndarray
 
 
 def project(
@@ -90,10 +69,7 @@ class Crops:
 
 
 def bounding_boxes(masks: Shaped[ndarray, "T H W"]) -> Int[ndarray, "T 4"]:
-    """Return (u0, v0, u1, v1), the end exclusive, of the non-zero pixels of each mask.
-
-    All zeros where a mask is empty.
-    """
+    """Return (u0, v0, u1, v1) [px], end exclusive, of each mask's non-zero pixels; zeros for an empty mask."""
     boxes = np.zeros((len(masks), 4), dtype=int)
     for n, mask in enumerate(masks):
         rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
@@ -103,83 +79,16 @@ def bounding_boxes(masks: Shaped[ndarray, "T H W"]) -> Int[ndarray, "T 4"]:
 
 
 def crops_around(masks: Shaped[ndarray, "T H W"], expand: float = 1.8, size: int = 256) -> Crops:
-    """Make square crops centred on each frame's mask, all ``expand`` times as large as the largest mask.
+    """Make square crops centred on each frame's mask, which needs a pixel, ``expand`` times the largest mask's size.
 
-    One side for all frames, so that a pixel of energy means the same in each; one centre per frame, so that an object
-    that crosses the image keeps its resolution. Every mask must have a pixel.
+    All frames have one side, so that a pixel of energy is worth the same; each has its own centre, so that an object
+    moving across the image keeps its resolution.
     """
     return crops_of_boxes(bounding_boxes(masks).astype(float), expand, size)
 
 
 def crops_of_boxes(boxes: Float[ndarray, "T 4"], expand: float, size: int) -> Crops:
-    """Make square crops centred on each frame's box (u0, v0, u1, v1), all ``expand`` times as large as the largest."""
+    """Make square crops centred on each frame's box (u0, v0, u1, v1) [px], ``expand`` times the largest box's side."""
     side = expand * float((boxes[:, 2:] - boxes[:, :2]).max())
     centre = (boxes[:, :2] + boxes[:, 2:]) / 2.0
     return Crops(corner=centre - side / 2.0, side=side, size=size)
-
-
-@dataclass(frozen=True)
-class Lens:
-    """Knowledge about the camera: at most one of three fields is set."""
-
-    K: Annotated[
-        tuple[float, float, float, float] | None,
-        numbers_argument(4, "FX FY CX CY"),
-        arg(name="K", help_behavior_hint=""),
-    ] = None
-    """The camera's focal lengths and principal point [px]."""
-    focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="")] = None
-    """Instead of K, the focal length; the principal point is in the middle."""
-    guess_focal: Flag = False
-    """Assume the focal length; depths and sizes are then assumptions as well."""
-
-    @property
-    def is_set(self) -> bool:
-        """True if any field is set."""
-        return self.K is not None or self.focal is not None or self.guess_focal
-
-
-N_DISTORTION_COEFFICIENTS = (4, 5, 8, 12, 14)
-"""Numbers of coefficients of OpenCV's model of usual lenses."""
-MIN_UNDISTORTED_COVERAGE = 0.5
-"""Share of the pixels that the image must cover, once its distortion is removed."""
-
-
-@dataclass(frozen=True)
-class Distortion:
-    """The distortion of the footage's lens; none without coefficients."""
-
-    distortion: Annotated[tuple[float, ...], arg(metavar="K1 K2 P1 P2...", help_behavior_hint="")] = ()
-    """Remove the lens distortion from the images: OpenCV's coefficients, 4, 5, 8, 12 or 14. Masks and hands must be of
-    the images without it."""
-    fisheye: Flag = False
-    """With --distortion: the coefficients are the 4 of OpenCV's fisheye model."""
-
-    @property
-    def words(self) -> str:
-        """How the images were changed; empty where they were not."""
-        model = "fisheye model" if self.fisheye else "model"
-        numbers = " ".join(f"{value:.6g}" for value in self.distortion)
-        return f"; lens distortion removed from the images (OpenCV's {model}, {numbers})" if self.distortion else ""
-
-    def removal(
-        self, K: Float[ndarray, "3 3"], size: tuple[int, int]
-    ) -> Callable[[UInt8[ndarray, "H W 3"]], UInt8[ndarray, "H W 3"]]:
-        """Return a function that removes the distortion from an image, which keeps its intrinsics and its size.
-
-        Raises ``UsageError`` for coefficients that are no lens's.
-        """
-        import cv2
-        import numpy as np
-
-        counts = (4,) if self.fisheye else N_DISTORTION_COEFFICIENTS
-        if len(self.distortion) not in counts:
-            raise UsageError(f"--distortion must be {' or '.join(map(str, counts))} (got {len(self.distortion)})")
-        in_opencv = K - np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
-        coefficients, maps = np.array(self.distortion), cv2.fisheye if self.fisheye else cv2
-        u, v = maps.initUndistortRectifyMap(in_opencv, coefficients, np.eye(3), in_opencv, size, cv2.CV_32FC1)
-        inside = (u >= -0.5) & (u <= size[0] - 0.5) & (v >= -0.5) & (v <= size[1] - 0.5)
-        if not inside.mean() > MIN_UNDISTORTED_COVERAGE:
-            got = f"{100.0 * inside.mean():.0f} % of the pixels inside the image"
-            raise UsageError(f"--distortion must be this lens's (got coefficients that leave {got}); is it --fisheye?")
-        return lambda image: np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR), dtype=np.uint8)

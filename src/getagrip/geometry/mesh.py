@@ -1,7 +1,4 @@
-"""Triangle meshes: normals, sizes, and the tables that silhouettes need.
-
-A mesh with more vertices on the same surface: long edges are halved until none is left.
-"""
+"""Triangle meshes: normals, sizes, edge tables for silhouettes, separate parts, simplification and subdivision."""
 
 from __future__ import annotations
 
@@ -15,20 +12,24 @@ from numpy import ndarray
 
 from getagrip.io.array_data import ArrayData, check_finite, check_ids
 
-DISTANCE_CHUNK_SIZE = 50_000
-"""Number of distances that are computed at once."""
-MAX_DECIMATION_RATIO = 2
-"""Times the faces that were asked for: when edge collapse leaves more, it has not worked."""
-DECIMATION_AGGRESSIVENESS = (3.0, 7.0)
-"""How hastily edges collapse. At the library's 7 thin parts are lost: a notebook of 28 cm was 7 mm off on average, and
-0.2 mm at 3. Rough meshes of a million faces need more, though."""
-MAX_MESH_PARTS = 500
-"""Parts beyond which none is looked at alone."""
-PART_GAP_FRACTIONS = (0.02, 0.001)
-"""Parts nearer to each other than this belong together, if both are closed and if not [shares of the mesh's size]."""
 MAX_MESH_FACES = 100_000
-"""Most faces of a mesh that is fitted, measured and drawn: millimetre-sized ones on a can. More only take time and
-memory."""
+"""Maximum number of faces for fitting, metrics and rendering; 100 000 are millimetre-sized on a can."""
+DISTANCE_CHUNK_SIZE = 50_000
+"""Number of distances computed at once."""
+MAX_DECIMATION_RATIO = 2
+"""Ratio of resulting to requested faces above which edge collapse has failed."""
+DECIMATION_AGGRESSIVENESS = (3.0, 7.0)
+"""Aggressiveness of edge collapse, tried in turn. At the library's default 7 thin parts vanish: a notebook of 28 cm was
+7 mm off on average, and 0.2 mm at 3. Rough meshes of a million faces need 7."""
+MAX_MESH_PARTS = 500
+"""Number of parts above which a mesh counts as a single part."""
+PART_GAP_FRACTIONS = (0.02, 0.001)
+"""Distance between parts below which they are one, for two closed parts and for others, as a fraction of the mesh's
+size."""
+N_SUBDIVIDED_VERTICES = 4500
+"""Approximate number of vertices of a mesh whose contact is counted by vertices."""
+MAX_SUBDIVISION_PASSES = 24
+"""Maximum number of halvings: enough for edges of any length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +74,10 @@ class Mesh(ArrayData):
 
     @cached_property
     def edges(self) -> Int[ndarray, "E 4"]:
-        """Rows (v0, v1, f1, f2): face f1 runs from v0 to v1, face f2 from v1 to v0; f2 = F where there is none.
+        """Rows (v0, v1, f1, f2): face f1 runs from v0 to v1, face f2 from v1 to v0; f2 = F at a boundary.
 
-        Each half-edge stands in exactly one row. Edges of three or more faces, or of faces wound the same way, give
-        several rows, so that any triangle soup is covered (see ``geometry.kernels.silhouette``).
+        Each half-edge is in exactly one row. Edges of three or more faces, or of faces wound the same way, give several
+        rows, so that any triangle soup is covered (see ``geometry.kernels.silhouette``).
         """
         return edge_table(self.faces)
 
@@ -93,11 +94,11 @@ class Mesh(ArrayData):
 
     @cached_property
     def light(self) -> Mesh:
-        """The mesh, simplified to about ``MAX_MESH_FACES`` faces if it has more."""
+        """The mesh itself, or simplified to about ``MAX_MESH_FACES`` faces if it has more."""
         return cluster_vertices(self, MAX_MESH_FACES)
 
     def stands_for(self, whole: Mesh, done: str) -> list[str]:
-        """Return a note that this mesh was fitted or measured (``done``) in place of the whole one."""
+        """Return a note if this mesh was fitted or measured (``done``) instead of the ``whole`` one; else nothing."""
         faces = len(whole.faces), len(self.faces)
         return [] if self is whole else [f"the mesh of {faces[0]} faces was {done} with {faces[1]}"]
 
@@ -135,23 +136,23 @@ def vertex_normals(vertices: Float[ndarray, "*batch V 3"], faces: Int[ndarray, "
 
 
 def edge_table(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:
-    """Pair the half-edges of a mesh; see ``Mesh.edges``. Those of very large meshes are not kept."""
+    """Pair the half-edges of a mesh (``Mesh.edges``). Tables of very large meshes are not cached."""
     if len(faces) > MAX_MESH_FACES:
         return _pair_half_edges(faces)
     return _cached_edge_table(np.ascontiguousarray(faces, dtype=np.int64).tobytes()).copy()
 
 
-@lru_cache(maxsize=8)  # of a hand, its closed surface and some objects, which are posed again and again
+@lru_cache(maxsize=8)  # a hand, its closed surface and some objects, posed repeatedly
 def _cached_edge_table(content: bytes) -> Int[ndarray, "E 4"]:
     return _pair_half_edges(np.frombuffer(content, np.int64).reshape(-1, 3))
 
 
 def _pair_half_edges(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:
-    """``edge_table``. Half-edge h begins at corner h % 3 of face h // 3."""
+    """Compute ``edge_table``. Half-edge h starts at corner h % 3 of face h // 3."""
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     key = np.minimum(start, end).astype(np.int64)
     key *= 2 * (int(faces.max()) + 1)
-    key += 2 * np.maximum(start, end) + (start < end)  # of the edge, twice; and 1 where it runs forward
+    key += 2 * np.maximum(start, end) + (start < end)  # the last bit: forward
     order = np.argsort(key, kind="stable")
     key = key[order]
     forward = (key & 1).astype(np.int8)
@@ -162,7 +163,7 @@ def _pair_half_edges(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:
     key >>= 1
     first[1:] = key[1:] != key[:-1]
     begins = np.flatnonzero(first)
-    del key  # of a million faces it matters
+    del key  # memory, with a million faces
     pairs = np.maximum.reduceat(rank, begins) + 1
     rank += np.repeat(np.cumsum(pairs) - pairs, np.diff(begins, append=len(rank)))
     halves = np.full((pairs.sum(), 2), -1)
@@ -173,11 +174,11 @@ def _pair_half_edges(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:
 
 
 def diameter(points: Float[ndarray, "V 3"]) -> float:
-    """Compute the largest distance between two points [m], in memory that grows only linearly with their number.
+    """Compute the largest distance between two points [m], with memory linear in their number.
 
-    Let the direction of q - p be within an angle a of the unit vector u. Then (q - p) . u >= |q - p| cos(a), so p and q
-    are near the extreme points along u. Triangles that cover half of all directions are divided until few such points
-    are left; those without a pair that could exceed the best distance so far are dropped.
+    If the direction of q - p is within an angle a of the unit vector u, then (q - p) . u >= |q - p| cos(a): p and q are
+    near the extreme points along u. Triangles that cover half of all directions are divided until few such points are
+    left, and dropped if no pair of theirs can exceed the best distance so far.
     """
     from scipy.spatial.distance import cdist
 
@@ -203,17 +204,17 @@ def diameter(points: Float[ndarray, "V 3"]) -> float:
 
 
 def merge_vertices(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
-    """Return for each vertex the index of the first vertex at the same place."""
+    """Return the index of the first vertex at each vertex's position."""
     place = same_rows(vertices)
     _, first = np.unique(place, return_index=True)
     return np.asarray(first[place], dtype=np.int64)
 
 
 def separate_parts(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> list[Int[ndarray, "n"]]:
-    """Return the faces of each part of a mesh that is apart from all others, the largest first.
+    """Return the face indices of each separate part of a mesh, the largest part first.
 
-    Parts whose bounding boxes meet are one, as a handle that only touches its mug; so are closed ones that nearly do.
-    All are one part where there are very many.
+    Components with touching bounding boxes are one part, such as a mug and its handle; so are closed ones that nearly
+    touch (``PART_GAP_FRACTIONS``). With ``MAX_MESH_PARTS`` components or more, all are one part.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -247,8 +248,8 @@ def cluster_vertices(mesh: Mesh, faces: int) -> Mesh:
     """Simplify a very large mesh to about ``faces`` faces by vertex clustering, which is fast.
 
     Vertices in the same cell of a grid become their mean, and faces with two corners in one cell vanish: no vertex
-    moves farther than a cell, on smooth surfaces much less. A closed mesh stays closed. The mesh itself is returned
-    where it has no more faces, nor vertices: a triangle soup has three for each face.
+    moves farther than a cell, on smooth surfaces much less. A closed mesh stays closed. A mesh with no more than
+    ``faces`` faces and vertices (a triangle soup has three per face) is returned unchanged.
     """
     if len(mesh.faces) <= faces and len(mesh.vertices) <= faces:
         return mesh
@@ -262,10 +263,7 @@ def cluster_vertices(mesh: Mesh, faces: int) -> Mesh:
 
 
 def decimate(mesh: Mesh, faces: int) -> Mesh:
-    """Simplify a mesh to about ``faces`` faces by quadric edge collapse.
-
-    Where faces share no edges that could collapse (triangle soups), vertices are clustered instead.
-    """
+    """Simplify a mesh to about ``faces`` faces by quadric edge collapse; triangle soups by ``cluster_vertices``."""
     if len(mesh.faces) <= faces:
         return mesh
     import fast_simplification
@@ -282,7 +280,7 @@ def decimate(mesh: Mesh, faces: int) -> Mesh:
 
 
 def same_rows(rows: Shaped[ndarray, "N K"]) -> Int[ndarray, "N"]:
-    """Return a number for each row, the same for equal rows: 0, 1, ... in the rows' lexicographic order."""
+    """Return each row's number, with distinct rows numbered 0, 1, ... in lexicographic order."""
     order = np.lexsort(rows.T[::-1])
     in_order = rows[order]
     new = np.any(in_order[1:] != in_order[:-1], axis=1)
@@ -291,16 +289,10 @@ def same_rows(rows: Shaped[ndarray, "N K"]) -> Int[ndarray, "N"]:
     return number
 
 
-N_SUBDIVIDED_VERTICES = 4500
-"""Vertices, about, of a mesh on which contact is counted by vertices."""
-MAX_SUBDIVISION_PASSES = 24
-"""Most rounds of halving: edges of any size are short after them."""
-
-
 def subdivide_parts(parts: Sequence[Mesh], vertices: int = N_SUBDIVIDED_VERTICES) -> tuple[Mesh, Int[ndarray, "V"]]:
     """Join the parts of an object to one mesh without long edges, and return the part (0, 1, ...) of each vertex.
 
-    It has about ``vertices`` vertices, or more where the parts have more.
+    The mesh has about ``vertices`` vertices, or more if the parts have more.
     """
     longest = edge_length(sum(float(part.vertex_areas.sum()) for part in parts), vertices)
     made = [subdivide_surface(part.vertices, part.faces, longest) for part in parts]
@@ -311,10 +303,10 @@ def subdivide_parts(parts: Sequence[Mesh], vertices: int = N_SUBDIVIDED_VERTICES
 
 
 def edge_length(area: float, vertices: int) -> float:
-    """Return the ``longest`` edge [m] with which ``subdivide_surface`` makes about ``vertices`` vertices of a surface [m^2].
+    """Return the ``longest`` edge [m] for which ``subdivide_surface`` gives an area [m2] about ``vertices`` vertices.
 
-    A mesh has two triangles for each vertex; one of three edges e covers sqrt(3) / 4 e^2. Halving leaves edges about
-    half as long as the longest: some were just too long.
+    A mesh has two triangles per vertex; one with three edges e covers sqrt(3) / 4 e^2. After halving, edges are about
+    half the longest on average, since some were just too long.
     """
     return float(2.0 * np.sqrt(area / (2.0 * vertices) / (np.sqrt(3.0) / 4.0)))
 
@@ -322,10 +314,10 @@ def edge_length(area: float, vertices: int) -> float:
 def subdivide_surface(
     vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], longest: float
 ) -> tuple[Float[ndarray, "W 3"], Int[ndarray, "G 3"]]:
-    """Subdivide a surface until no edge is above ``longest`` [m]; old vertices stay, new ones follow them.
+    """Subdivide a surface until no edge is above ``longest`` [m]; new vertices follow the old ones.
 
-    Each round halves the edges that are too long. A triangle with one of them becomes two, with two three, with three
-    four. Neighbours share the new vertices, so a closed mesh stays closed.
+    Each pass halves the edges that are too long: a triangle with one, two or three of them becomes two, three or four.
+    Neighbours share the new vertices, so a closed mesh stays closed.
     """
     for _ in range(MAX_SUBDIVISION_PASSES):
         edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1).reshape(-1, 2)
@@ -341,10 +333,10 @@ def subdivide_surface(
 
 
 def _split_faces(faces: Int[ndarray, "F 3"], middle: Int[ndarray, "F 3"]) -> Int[ndarray, "G 3"]:
-    """Triangles, and the new vertices in the middle of their edges 01, 12 and 20 (-1: none), as smaller triangles."""
+    """Split triangles at the new vertices in the middle of their edges 01, 12 and 20 (-1: none)."""
     halved = middle >= 0
     count = halved.sum(axis=1)
-    # Corners are rolled so that one halved edge is the first, and of two the whole edge is the last.
+    # Corners are rolled such that a single halved edge is the first, and of two halved ones the other is the last.
     one, after_whole = np.argmax(halved, axis=1), (np.argmin(halved, axis=1) + 1) % 3
     first = np.choose(count, [0, one, after_whole, 0])
     order = (first[:, None] + np.arange(3)) % 3

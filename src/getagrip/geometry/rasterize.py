@@ -1,12 +1,10 @@
-"""A z-buffer: the depth and the visible face at every pixel centre. For true masks and pictures, not for fitting.
+"""A z-buffer, and true masks and pictures of posed meshes rendered with it; no energy uses it.
 
 Triangles are rasterised in homogeneous coordinates (Olano and Greer, "Triangle Scan Conversion using 2D Homogeneous
 Coordinates", 1997). With p_i = K X_i the corners of a face, the ray through pixel q = (u, v, 1) meets its plane where
 sum_i b_i p_i = z q, sum_i b_i = 1. So a = [p_0 p_1 p_2]^-1 q is b / z: the pixel is inside the face when no a_i is
-negative, and 1 / z = sum_i a_i. Nothing is divided by the depth of a corner, so faces that reach behind the camera
-need no clipping: what lies nearer than ``MIN_ZBUFFER_DEPTH_M`` is dropped pixel by pixel.
-
-Masks and pictures of posed meshes, from one z-buffer. For ground truth and for people; no energy uses it.
+negative, and 1 / z = sum_i a_i. Without a division by a corner's depth, faces that reach behind the camera need no
+clipping: pixels nearer than ``MIN_ZBUFFER_DEPTH_M`` are dropped one by one.
 """
 
 from __future__ import annotations
@@ -22,16 +20,25 @@ from getagrip.compiling import kernel
 from getagrip.geometry.mesh import vertex_normals
 
 MIN_ZBUFFER_DEPTH_M = 0.02
-"""Nothing nearer than this is drawn [m]."""
+"""Depth from which on surfaces are rendered [m]."""
+MIN_OCCLUDER_FRACTION = 0.01
+"""Fraction of the grasped object's silhouette that another object must cover to be an occluder. Smaller overlaps are
+noise of the poses, such as a keyboard that cuts into the mouse on it."""
+KEY_LIGHT_DIRECTION = np.array([-0.35, -0.6, -0.72])
+"""Direction to the light in the camera frame: from above the left shoulder."""
+Surface = tuple[Float[ndarray, "_V 3"], Int[ndarray, "_F 3"]]
+"""Vertices in the camera frame [m] and faces."""
+Colour = tuple[float, float, float]
+"""Red, green, blue in [0, 1]."""
 
 
 def depth_and_face(
     vertices_cam: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], K: Float[ndarray, "3 3"], size: tuple[int, int]
 ) -> tuple[Float32[ndarray, "H W"], Int32[ndarray, "H W"]]:
-    """Render the depth z [m] of the nearest surface (infinity: nothing) and its face (-1: nothing), both sides drawn.
+    """Render the depth z [m] of the nearest surface (infinity: none) and its face (-1: none), both sides visible.
 
-    ``vertices_cam`` are in the camera frame [m], ``size`` is (width, height) [px]. Pixels are taken at their centres;
-    of faces at the same depth the first is kept.
+    ``vertices_cam`` are in the camera frame [m], ``size`` is (width, height) [px]. Pixels are sampled at their centres;
+    among faces at the same depth the first is visible.
     """
     width, height = size
     depth = np.full((height, width), np.inf, dtype=np.float32)
@@ -44,7 +51,7 @@ def depth_and_face(
 def render_coverage(
     vertices_cam: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], K: Float[ndarray, "3 3"], size: tuple[int, int]
 ) -> Bool[ndarray, "H W"]:
-    """Return the pixels that show a surface: ``depth_and_face(...)[1] >= 0``, without the depths."""
+    """Render the mask of all surfaces: ``depth_and_face(...)[1] >= 0``, without the depths."""
     width, height = size
     mask = np.zeros((height, width), dtype=np.bool_)
     corners = np.ascontiguousarray(vertices_cam @ K.T, dtype=np.float64)
@@ -59,12 +66,11 @@ def interpolate_vertex_values(
     face: Int32[ndarray, "H W"],
     values: Float[ndarray, "V C"],
 ) -> Float[ndarray, "n C"]:
-    """Interpolate values of the vertices on the visible face, for every pixel with ``face >= 0`` in row-major order."""
+    """Interpolate vertices' values on the visible face, for every pixel with ``face >= 0`` in row-major order."""
     corners = np.ascontiguousarray(vertices_cam @ K.T, dtype=np.float64)
+    faces, values = np.ascontiguousarray(faces, dtype=np.int64), np.ascontiguousarray(values)
     out = np.empty((np.count_nonzero(face >= 0), values.shape[1]))
-    _interpolate_barycentric(
-        corners, np.ascontiguousarray(faces, dtype=np.int64), face, np.ascontiguousarray(values), out
-    )
+    _interpolate_barycentric(corners, faces, face, values, out)
     return out
 
 
@@ -116,7 +122,7 @@ def _rasterise_depth(p: ndarray, faces: ndarray, depth: ndarray, face: ndarray) 
 
 @kernel("f2 i2 b2", fastmath=False)
 def _rasterise_coverage(p: ndarray, faces: ndarray, mask: ndarray) -> None:
-    """Mark the pixels that ``_rasterise_depth`` gives a face."""
+    """Mark the pixels with a face in ``_rasterise_depth``."""
     height, width = mask.shape
     for f in range(len(faces)):
         p0, p1, p2 = p[faces[f, 0]], p[faces[f, 1]], p[faces[f, 2]]
@@ -143,7 +149,7 @@ def _rasterise_coverage(p: ndarray, faces: ndarray, mask: ndarray) -> None:
 
 @kernel(fastmath=False)
 def _face_pixel_box(p0: ndarray, p1: ndarray, p2: ndarray, width: int, height: int) -> tuple[int, int, int, int]:
-    """(left, right, top, bottom) of the pixels a face may cover; the whole image if it comes nearer than ``MIN_ZBUFFER_DEPTH_M``."""
+    """Return (left, right, top, bottom) of the pixels a face may cover; all for one nearer than the minimum depth."""
     nearest, farthest = min(min(p0[2], p1[2]), p2[2]), max(max(p0[2], p1[2]), p2[2])
     if farthest < MIN_ZBUFFER_DEPTH_M:
         return 0, 0, 0, 0
@@ -151,7 +157,7 @@ def _face_pixel_box(p0: ndarray, p1: ndarray, p2: ndarray, width: int, height: i
         return 0, width, 0, height
     u0, u1, u2 = p0[0] / p0[2], p1[0] / p1[2], p2[0] / p2[2]
     v0, v1, v2 = p0[1] / p0[2], p1[1] / p1[2], p2[1] / p2[2]
-    # Clamped before the conversion: far outside the image a float may not fit an integer.
+    # Clamped before the conversion: a float far outside the image may not fit an integer.
     left = int(np.floor(min(max(min(min(u0, u1), u2) - 0.5, 0.0), float(width))))
     right = int(np.ceil(min(max(max(max(u0, u1), u2) + 0.5, 0.0), float(width))))
     top = int(np.floor(min(max(min(min(v0, v1), v2) - 0.5, 0.0), float(height))))
@@ -174,23 +180,11 @@ def _edge_functions(p0: ndarray, p1: ndarray, p2: ndarray) -> tuple:
     return (s * a0x, s * a0y, s * a0z), (s * a1x, s * a1y, s * a1z), (s * a2x, s * a2y, s * a2z), s * volume
 
 
-Surface = tuple[Float[ndarray, "_V 3"], Int[ndarray, "_F 3"]]
-"""Vertices in the camera frame [m] and faces."""
-Colour = tuple[float, float, float]
-"""Red, green, blue in [0, 1]."""
-
-MIN_OCCLUDER_FRACTION = 0.01
-"""Share of the grasped object's silhouette that another object must cover to count as in front of it. Less is noise of
-the poses, such as a keyboard that cuts into the mouse on it."""
-KEY_LIGHT_DIRECTION = np.array([-0.35, -0.6, -0.72])
-"""Direction to the light in the camera frame: from above the left shoulder."""
-
-
 def nearest_surface(
     surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: tuple[int, int]
 ) -> Int[ndarray, "H W"]:
-    """Return the index of the nearest surface in each pixel; -1 where there is none."""
-    vertices, faces, _ = _concatenate_surfaces(surfaces)
+    """Render the index of the nearest surface at each pixel (-1: none)."""
+    vertices, faces = _concatenate_surfaces(surfaces)
     owner = np.repeat(np.arange(len(surfaces)), [len(f) for _, f in surfaces])
     return np.append(owner, -1)[depth_and_face(vertices, faces, K, size)[1]]  # no face, -1, is the last entry
 
@@ -202,13 +196,13 @@ def true_masks(
     K: Float[ndarray, "3 3"],
     size: tuple[int, int],
 ) -> tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"], Bool[ndarray, "H W"]]:
-    """Render the object's visible pixels, those that say nothing about it, and the grasping hand's visible pixels.
+    """Render the masks of the grasped object, of ignored pixels, and of the grasping hand (the first), where visible.
 
-    Ignored is every pixel whose nearest surface is a hand, or another object that hides part of the grasped one;
-    objects that hide nothing are background, which does say where the grasped object is not. An object in front is
-    ignored as a whole, so that the ignored area does not betray the silhouette of what it hides.
+    A pixel is ignored if its nearest surface is a hand, or another object that occludes the grasped one. Other objects
+    are background, where the grasped object is known not to be. An occluder is ignored as a whole, so that the ignored
+    area does not reveal the silhouette behind it.
     """
-    part = nearest_surface([grasped, *hands, *others], K, size)  # 0: held, then hands, then others
+    part = nearest_surface([grasped, *hands, *others], K, size)  # 0: grasped, then hands, then others
     ignore = (part > 0) & (part <= len(hands))
     if others:
         shown = np.bincount(part[render_coverage(*grasped, K, size)], minlength=1 + len(hands) + len(others))
@@ -226,32 +220,28 @@ def render_rgb(
 ) -> UInt8[ndarray, "H W 3"]:
     """Render meshes in the camera frame, lit and smoothly shaded, four samples a pixel.
 
-    A mesh has one colour, or one for each vertex, between which colours are interpolated.
-    ``background`` is an image of ``size``, a colour, or nothing: white.
+    A mesh has one colour, or one per vertex, interpolated on faces. ``background`` is an image of ``size`` (width,
+    height) [px], a colour, or None for white.
     """
     width, height = size
-    if background is None:
-        background = (1.0, 1.0, 1.0)
-    behind = np.broadcast_to(
-        background / 255.0 if isinstance(background, ndarray) else np.array(background), (height, width, 3)
-    )
+    behind = background / 255.0 if isinstance(background, ndarray) else np.array(background or (1.0, 1.0, 1.0))
+    behind = np.broadcast_to(behind, (height, width, 3))
     picture = np.repeat(np.repeat(behind.astype(np.float32), 2, axis=0), 2, axis=1)
     if meshes:
-        vertices, faces, _ = _concatenate_surfaces([(v, f) for v, f, _ in meshes])
+        vertices, faces = _concatenate_surfaces([(v, f) for v, f, _ in meshes])
         brightness = _lambert(vertices, np.concatenate([vertex_normals(v, f) for v, f, _ in meshes]))
         colours = np.concatenate([np.broadcast_to(np.asarray(colour), v.shape) for v, _, colour in meshes])
         K2 = np.diag([2.0, 2.0, 1.0]) @ K
         _, face = depth_and_face(vertices, faces, K2, (2 * width, 2 * height))
-        lit = interpolate_vertex_values(
-            vertices, faces, K2, face, np.concatenate([brightness[:, None], colours], axis=1)
-        )
+        values = np.concatenate([brightness[:, None], colours], axis=1)
+        lit = interpolate_vertex_values(vertices, faces, K2, face, values)
         picture[face >= 0] = np.clip(lit[:, :1] * lit[:, 1:], 0.0, 1.0)
     mean = (picture[::2, ::2] + picture[::2, 1::2] + picture[1::2, ::2] + picture[1::2, 1::2]) / 4.0
     return np.asarray(np.round(255.0 * mean), dtype=np.uint8)
 
 
 def _lambert(points: Float[ndarray, "n 3"], normals: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
-    """Brightness: ambient light, a key light, and a head light that gives form to what the key light leaves dark."""
+    """Compute the brightness under ambient light, a key light, and a head light against flat shadows."""
     to_eye = -points / np.linalg.norm(points, axis=1, keepdims=True)
     n = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     facing = np.sum(n * to_eye, axis=1)
@@ -260,12 +250,7 @@ def _lambert(points: Float[ndarray, "n 3"], normals: Float[ndarray, "n 3"]) -> F
     return np.asarray(0.3 + 0.5 * key + 0.3 * np.abs(facing))
 
 
-def _concatenate_surfaces(
-    surfaces: Sequence[Surface],
-) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"], Int[ndarray, "n"]]:
-    """One mesh from several, and the first face of each."""
+def _concatenate_surfaces(surfaces: Sequence[Surface]) -> Surface:
     offsets = [0, *accumulate(len(v) for v, _ in surfaces)]
-    first = np.array([0, *accumulate(len(f) for _, f in surfaces)])[:-1]
-    vertices = np.concatenate([v for v, _ in surfaces])
     faces = np.concatenate([f + o for (_, f), o in zip(surfaces, offsets, strict=False)])
-    return vertices, faces, first
+    return np.concatenate([v for v, _ in surfaces]), faces

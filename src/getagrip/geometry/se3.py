@@ -1,4 +1,4 @@
-"""Rigid motions. All conventions of the package are stated here, once.
+"""Rigid motions, and the package's conventions for them.
 
 - ``T_a_b`` is a 4x4 matrix that maps points of frame b into frame a (column vectors): ``X_a = T_a_b @ X_b``. Adjacent
   names cancel: ``T_cam_hand @ T_hand_obj``.
@@ -84,7 +84,7 @@ def quaternion(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 4"]:
 
 
 def quaternions_in_time(R: Float[ndarray, "T 3 3"]) -> Float[ndarray, "T 4"]:
-    """Return quaternions (w, x, y, z), each on the side of the one before it, so that interpolation is short."""
+    """Return quaternions (w, x, y, z) with signs such that each is nearest to the previous one, for interpolation."""
     q = quaternion(R)
     q[1:] *= np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
     return q
@@ -114,7 +114,7 @@ def from_quaternion(q: Float[ndarray, "*batch 4"]) -> Float[ndarray, "*batch 3 3
 def rigid(
     R: Float[ndarray, "*#batch 3 3"] | None = None, t: Float[ndarray, "*#batch 3"] | None = None
 ) -> Float[ndarray, "*batch 4 4"]:
-    """Return the 4x4 matrix of a rotation (identity when left out) and a translation (zero when left out)."""
+    """Return the 4x4 matrix of a rotation (default: identity) and a translation (default: zero)."""
     R = np.eye(3) if R is None else R
     t = np.zeros(3) if t is None else t
     batch = np.broadcast_shapes(R.shape[:-2], t.shape[:-1])
@@ -124,7 +124,7 @@ def rigid(
 
 
 def inverse(T: Float[ndarray, "*batch 4 4"]) -> Float[ndarray, "*batch 4 4"]:
-    """Return the inverse of rigid motions (of nothing else)."""
+    """Return the inverse of rigid motions; other matrices give wrong results."""
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     return rigid(Rt, -(Rt @ T[..., :3, 3, None])[..., 0])
 

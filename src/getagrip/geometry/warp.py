@@ -34,7 +34,7 @@ class Warp(ArrayData):
 
     @staticmethod
     def by(centre: Float[ndarray, "3"], radius: float, displacement: Float[ndarray, "9 3"]) -> Warp:
-        """Make the warp that displaces points by ``radius`` times these coefficients of each monomial but 1."""
+        """Make a warp from ``displacement``: the coefficients of all monomials but 1, relative to the identity."""
         coefficients = np.zeros((N_MONOMIALS, 3))
         coefficients[1:] = displacement
         coefficients[1:4] += np.eye(3)
@@ -50,7 +50,7 @@ class Warp(ArrayData):
         return np.asarray(self.centre + self.radius * (monomials(x) @ self.coefficients))
 
     def expansion(self, X: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
-        """Return the factor by which the space around points grows; negative where it is turned inside out."""
+        """Return the factor by which volume grows at points; negative where the warp turns space inside out."""
         x = (X - self.centre) / self.radius
         J = np.repeat(self.coefficients[None, 1:4], len(x), axis=0)  # rows: by x, y, z
         for bend, i, j in zip(self.coefficients[4:], *np.triu_indices(3), strict=True):
@@ -59,16 +59,16 @@ class Warp(ArrayData):
         return np.asarray(np.linalg.det(J))
 
     def displacement(self, mesh: Mesh) -> float:
-        """Compute the root mean square distance by which the mesh's surface is displaced [m]."""
+        """Compute the root mean square displacement of a mesh's surface [m]."""
         squared = np.sum((self.moved(mesh.vertices) - mesh.vertices) ** 2, axis=1)
         return float(np.sqrt(np.average(squared, weights=mesh.vertex_areas)))
 
 
 def remove_similarity(warp: Warp, mesh: Mesh, resize: bool) -> tuple[Warp, Float[ndarray, "4 4"], float]:
-    """Split a warp into one that leaves the mesh in place (with ``resize``, also its size) and a similarity (T, size).
+    """Split a warp into a pure deformation of the mesh and a similarity (T, size); size is 1 unless ``resize``.
 
-    No such similarity brings the mesh nearer to what the settled warp makes of it (``align_similarity``): a pose of the one is a
-    pose of the other. ``warp.moved(X) = T (size * settled.moved(X))``.
+    ``warp.moved(X) = T (size * deformation.moved(X))``. The mesh and its deformed shape have the same pose: no
+    similarity brings the mesh nearer to it (``align_similarity``).
     """
     T, size = align_similarity(mesh, warp(mesh), resize)
     R, shift = T[:3, :3], T[:3, 3]
@@ -84,10 +84,10 @@ def monomials(x: Float[ndarray, "n 3"]) -> Float[ndarray, "n 10"]:
 
 
 def align_similarity(mesh: Mesh, other: Mesh, resize: bool) -> tuple[Float[ndarray, "4 4"], float]:
-    """Return ``T_other_mesh`` and the scale that bring a mesh nearest to another with the same faces, vertex by vertex.
+    """Return ``T_other_mesh`` and the scale that align a mesh with another one with the same faces.
 
-    Minimised is sum_i a_i |x_i - (R s y_i + t)|^2 over corresponding vertices x of ``other`` and y of ``mesh``, with
-    a_i the areas of ``other``; s stays 1 unless ``resize`` (Umeyama, "Least-squares estimation of transformation
+    They minimise sum_i a_i |x_i - (R s y_i + t)|^2 over corresponding vertices x of ``other`` and y of ``mesh``, with
+    a_i the vertex areas of ``other``; s stays 1 unless ``resize`` (Umeyama, "Least-squares estimation of transformation
     parameters", 1991).
     """
     a = other.vertex_areas / other.vertex_areas.sum()

@@ -1,1 +1,1 @@
-"""Hand models, all ending in ``PosedHand``; ``trackers`` reads the files of hand estimators."""
+"""Hand models, all ending in ``PosedHand``, and hands fitted to joints in 3D or in images."""

@@ -1,26 +1,20 @@
-"""The generic hand: free, watertight, about MANO's size in vertices, driven by MANO's pose numbers.
+"""The generic hand: free, watertight, with about as many vertices as MANO, and MANO's pose parameters.
 
-It is built from published anthropometry (``generic_skeleton``) and an implicit skin around the bones
-(``scripts/generic_surface.py``), and from no other hand model. Shape parameters are fractions: 0.1 makes a tenth more.
-
-Bending the fingers of any hand mesh whose 21 joints are known, skinned here or not.
-
-Each vertex goes with the nearest bone; over the mesh's edges the membership is smoothed, so that fingers that touch one
-another stay apart. A bend turns what lies beyond a joint about the line through it.
-
-Bones and girths of the generic hand, from published anthropometry, laid out flat in the hand frame (right hand).
-
-Sources:
+It is built from published anthropometry and an implicit skin around the bones (``scripts/generic_surface.py``), and
+from no other hand model. Shape parameters are relative: 0.1 enlarges a part by a tenth. Sources:
 
 - Bone lengths and the soft tissue beyond the last bone: A. Buryanov, V. Kotiuk, "Proportions of Hand Segments",
   International Journal of Morphology 28(3):755-758, 2010, Table I (radiographs of 66 adults of both sexes).
 - Breadths and circumferences of finger joints and wrist: T. M. Greiner, "Hand Anthropometry of U.S. Army Personnel",
-  Natick TR-92/011, 1991 (means of 1003 men), brought by ``MALE_TO_MEAN_SIZE`` to the hand of both sexes.
+  Natick TR-92/011, 1991 (means of 1003 men), scaled by ``MALE_TO_MEAN_SIZE`` to the mean hand of both sexes.
 - Hand length and breadth of both sexes: ANSUR II, "2012 Anthropometric Survey of U.S. Army Personnel" (Gordon et al.,
   Natick TR-15/007, 2014): 189.3 mm and 85.0 mm; Greiner's men: 194.5 mm from the wrist to the middle fingertip.
 
-Where the bones stand (carpus, fan of the metacarpals, arch of the palm, turn of the thumb) is in no such table: those
-numbers are ours, chosen so that hand length, hand breadth and the reach of the thumb come out as published.
+No table has the arrangement of the bones (carpus, fan of the metacarpals, arch of the palm, turn of the thumb): its
+numbers are ours, chosen such that hand length, hand breadth and the reach of the thumb come out as published.
+
+``bend_fingers`` bends the fingers of any hand mesh with 21 joints, whatever its model: each vertex follows the nearest
+bone, and the membership is smoothed along the mesh's edges, so that touching fingers stay separate.
 """
 
 from __future__ import annotations
@@ -43,116 +37,19 @@ from getagrip.geometry.mesh import edge_table, vertex_normals
 from getagrip.hands.model import KNUCKLES, MANO_JOINTS, PARENTS, HandModel, Side, mirrored_model
 from getagrip.io.options import check_word
 
-_WRIST_JOINT, _INDEX_KNUCKLE, _PINKY_KNUCKLE = 0, 5, 17
-FINGER_CHAINS = np.arange(1, 21).reshape(5, 4)
-"""Joints of each finger, from the palm to the tip."""
-BONE_OF_JOINT = np.zeros((21, 5, 3))
-"""Share by which each joint goes with each of the five fingers' three bones; of vertices: ``finger_weights``."""
-for _k in range(3):
-    BONE_OF_JOINT[FINGER_CHAINS[:, _k + 1], np.arange(5), _k] = 1.0
-_N_WEIGHT_SMOOTHINGS = 4
-
-
-def finger_weights(hand: HandTrack) -> Float[ndarray, "V 5 3"]:
-    """Compute how far each vertex goes with each finger's three bones, from palm to tip; the rest is the palm's.
-
-    The hand must have joints.
-    """
-    assert hand.joints is not None
-    ends = [(a, b) for chain in FINGER_CHAINS for a, b in pairwise(chain)]
-    ends += [(_WRIST_JOINT, knuckle) for knuckle in FINGER_CHAINS[:, 0]]
-    some = np.unique(np.linspace(0, len(hand.vertices) - 1, 5).astype(int))
-    a, b = (hand.joints[some][:, [pair[k] for pair in ends]] for k in (0, 1))
-    nearest = np.argmin(_to_segments(hand.vertices[some], a, b).sum(axis=0), axis=1)
-    weights = np.eye(len(ends))[nearest]
-    first, second = edge_table(hand.faces)[:, :2].T
-    count = np.bincount(np.concatenate([first, second]), minlength=len(weights)).astype(float)
-    for _ in range(_N_WEIGHT_SMOOTHINGS):
-        around = np.zeros_like(weights)
-        np.add.at(around, first, weights[second])
-        np.add.at(around, second, weights[first])
-        weights = 0.5 * weights + 0.5 * around / np.maximum(count, 1.0)[:, None]
-    return weights[:, :15].reshape(-1, 5, 3)
-
-
-def bend_fingers(
-    vertices: Float[ndarray, "T V 3"],
-    joints: Float[ndarray, "T 21 3"],
-    weights: Float[ndarray, "V 5 3"],
-    angles: Float[ndarray, "T 5 3"],
-    sideways: Float[ndarray, "T 5"] | None = None,
-) -> tuple[Float[ndarray, "T V 3"], Float[ndarray, "T 21 3"]]:
-    """Bend each finger's joints further by ``angles`` [rad], thumb first; return vertices and joints.
-
-    Fingers bend about an axis across the palm, the thumb towards the knuckle of the index finger or away from it.
-    Afterwards each is turned ``sideways``, about its first joint [rad].
-    """
-    turns = se3.rotation_about_line(joints[:, FINGER_CHAINS[:, :3]], finger_hinge_axes(joints)[:, :, None], angles)
-    if sideways is not None:
-        turns[:, :, 0] = (
-            se3.rotation_about_line(joints[:, FINGER_CHAINS[:, 0]], finger_spread_axes(joints), sideways)
-            @ turns[:, :, 0]
-        )
-    for k in (1, 2):
-        turns[:, :, k] = turns[:, :, k - 1] @ turns[:, :, k]
-    moved, skeleton = np.empty_like(vertices), joints.copy()
-    skeleton[:, FINGER_CHAINS[:, 1:]] = se3.transform(turns, joints[:, FINGER_CHAINS[:, 1:], None])[..., 0, :]
-    _skin_vertices(vertices, np.ascontiguousarray(weights.reshape(-1, 15)), turns.reshape(-1, 15, 4, 4), moved)
-    return moved, skeleton
-
-
-@kernel("f3 f2 f4 f3", fastmath=False)
-def _skin_vertices(vertices: ndarray, weights: ndarray, T: ndarray, moved: ndarray) -> None:
-    """Vertices (T, V, 3) moved by as much as their weights (V, 15) say of what each bone's pose (T, 15, 4, 4) does."""
-    for v in range(vertices.shape[1]):
-        for t in range(len(vertices)):
-            for i in range(3):
-                moved[t, v, i] = vertices[t, v, i]
-        for bone in range(weights.shape[1]):
-            w = weights[v, bone]
-            if w == 0.0:  # most are
-                continue
-            for t in range(len(vertices)):
-                x, y, z = vertices[t, v, 0], vertices[t, v, 1], vertices[t, v, 2]
-                for i in range(3):
-                    to = T[t, bone, i, 0] * x + T[t, bone, i, 1] * y + T[t, bone, i, 2] * z + T[t, bone, i, 3]
-                    moved[t, v, i] += w * (to - vertices[t, v, i])
-
-
-def finger_hinge_axes(joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 5 3"]:
-    """Compute the unit axes about which fingers bend: across the palm; the thumb's across its plane with the index."""
-    index, pinky = (joints[:, k] - joints[:, _WRIST_JOINT] for k in (_INDEX_KNUCKLE, _PINKY_KNUCKLE))
-    palm = np.cross(index, pinky)
-    thumb, ahead = (
-        joints[:, FINGER_CHAINS[0, 3]] - joints[:, FINGER_CHAINS[0, 0]],
-        joints[:, _INDEX_KNUCKLE] - joints[:, FINGER_CHAINS[0, 0]],
-    )
-    along = joints[:, FINGER_CHAINS[1:, 1]] - joints[:, FINGER_CHAINS[1:, 0]]
-    fingers = np.cross(along, palm[:, None])
-    axes = np.concatenate([np.cross(thumb, ahead)[:, None], fingers], axis=1)
-    return np.asarray(axes / np.maximum(np.linalg.norm(axes, axis=-1, keepdims=True), 1e-12))
-
-
-def finger_spread_axes(joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 5 3"]:
-    """Compute the unit axes about which fingers turn sideways: at right angles to hinges and first bones."""
-    axes = np.cross(joints[:, FINGER_CHAINS[:, 1]] - joints[:, FINGER_CHAINS[:, 0]], finger_hinge_axes(joints))
-    return np.asarray(axes / np.maximum(np.linalg.norm(axes, axis=-1, keepdims=True), 1e-12))
-
-
-def _to_segments(
-    X: Float[ndarray, "T V 3"], a: Float[ndarray, "T B 3"], b: Float[ndarray, "T B 3"]
-) -> Float[ndarray, "T V B"]:
-    """Distances of points to segments [m]."""
-    d = b - a
-    x = X[:, :, None] - a[:, None]
-    t = np.clip(np.sum(x * d[:, None], axis=-1) / np.maximum(np.sum(d * d, axis=-1), 1e-12)[:, None], 0.0, 1.0)
-    return np.asarray(np.linalg.norm(x - t[..., None] * d[:, None], axis=-1))
-
-
+GENERIC_HAND_FILE = Path(__file__).with_name("generic_hand.npz")
+"""File of the generic hand's vertices and faces."""
+SHAPE_PARAMETER_NAMES = (
+    "size", "thickness", "palm_length", "palm_breadth", "proximal_phalanges", "middle_phalanges", "distal_phalanges",
+    "thumb_metacarpal", "thumb_proximal", "thumb_distal", "index_length", "ring_length", "pinky_length",
+)  # fmt: skip
+"""Names of the shape parameters: each enlarges one part."""
+SHAPE_SIGMA = 0.1
+"""Standard deviation of the shape parameters; those of single bones are 7 to 15 % (Buryanov, Kotiuk, Table I)."""
 MANO_WRIST_M = np.array([0.0957, 0.0064, 0.0062])
-"""The wrist joint; where MANO has it, so that poses of either hand put the wrist at the same place."""
+"""The wrist joint [m], as in MANO, so that one pose puts the wrist of either model at the same position."""
 MALE_TO_MEAN_SIZE = 189.3 / 194.5
-"""Size of the mean hand of both sexes over that of Greiner's men."""
+"""Ratio of the mean hand of both sexes to that of Greiner's men."""
 
 BONE_LENGTHS_MM = {
     "thumb": (46.22, 31.57, 21.67, 5.67),
@@ -172,13 +69,13 @@ JOINT_GIRTHS_MM = {
 """Breadth and circumference [mm] at the joints between the phalanges."""
 
 METACARPAL_BASES_MM = {"index": (27.0, 9.5), "middle": (31.0, 0.5), "ring": (31.0, -8.0), "pinky": (28.0, -15.5)}
-"""Bases of the metacarpals: beyond the wrist, and towards the thumb [mm]."""
+"""Positions of the metacarpals' bases: beyond the wrist, and towards the thumb [mm]."""
 KNUCKLE_OFFSETS_MM = {"index": (-2.0, 24.0), "middle": (0.0, 1.5), "ring": (-1.5, -19.5), "pinky": (-5.0, -38.5)}
-"""Knuckles: towards the back of the hand, and towards the thumb [mm]."""
+"""Positions of the knuckles: towards the back of the hand, and towards the thumb [mm]."""
 FINGER_FAN_DEG = {"index": 7.0, "middle": 0.5, "ring": -6.5, "pinky": -15.0}
 """Directions of the fingers, towards the thumb [degrees]."""
 FINGER_CURL_DEG = (3.0, 6.0, 5.0)
-"""How much each joint of a resting flat finger bends [degrees]."""
+"""Bend of each joint of a flat finger at rest [degrees]."""
 THUMB_BASE_MM = np.array([-20.0, -13.0, 19.0])
 """Saddle joint of the thumb, from the wrist, in the hand frame [mm]."""
 THUMB_DIRECTION = np.array([-0.70, -0.26, 0.66])
@@ -186,131 +83,14 @@ THUMB_DIRECTION = np.array([-0.70, -0.26, 0.66])
 THUMB_PAD_DIRECTION = np.array([-0.55, -0.60, -0.58])
 """Direction of the thumb's pad at rest."""
 THUMB_CURL_DEG = (0.0, 9.0, 5.0)
-"""How much each joint of the resting thumb bends [degrees]."""
-
-
-@dataclass(frozen=True)
-class Finger:
-    """A finger at rest: a chain of four points from the first joint to the tip of the last bone's soft tissue."""
-
-    points: Float[ndarray, "4 3"]
-    """First, second, third joint and the tip of the flesh [m]."""
-    axes: Float[ndarray, "3 3 3"]
-    """For each of the three segments the directions (along, across, towards the back), as rows."""
-    breadth: Float[ndarray, "4"]
-    """Half breadths at the four points [m]."""
-    depth: Float[ndarray, "4"]
-    """Half depths, from pad to back, at the four points [m]."""
-
-
-def half_depth(breadth: float, circumference: float) -> float:
-    """Return half the other axis of an ellipse of given breadth and circumference, C ~ pi sqrt((b^2 + d^2) / 2)."""
-    return 0.5 * float(np.sqrt(2.0 * (circumference / np.pi) ** 2 - breadth**2))
-
-
-@cache
-def rest_fingers() -> Mapping[str, Finger]:
-    """Return the five fingers of the flat right hand [m]."""
-    fingers = {finger: _thumb() if finger == "thumb" else _finger(finger) for finger in FINGERS}
-    return MappingProxyType(fingers)
-
-
-def rest_joints() -> Float[ndarray, "16 3"]:
-    """Return the 16 joints of the flat right hand [m]."""
-    joints = np.zeros((len(MANO_JOINTS), 3))
-    joints[0] = MANO_WRIST_M
-    for finger, knuckle in zip(rest_fingers().values(), KNUCKLES, strict=True):
-        joints[knuckle : knuckle + 3] = finger.points[:3]
-    return joints
-
-
-def metacarpal_base(name: str) -> Float[ndarray, "3"]:
-    """Return the base of a finger's metacarpal [m]; of the thumb's, its saddle joint."""
-    if name == "thumb":
-        return MANO_WRIST_M + THUMB_BASE_MM / 1e3
-    beyond, across = METACARPAL_BASES_MM[name]
-    return MANO_WRIST_M + np.array([-beyond, 0.0, across]) / 1e3
-
-
-def _finger(name: str) -> Finger:
-    base = metacarpal_base(name)
-    up, across = (v / 1e3 for v in KNUCKLE_OFFSETS_MM[name])
-    offset = np.array([up, MANO_WRIST_M[2] + across - base[2]])
-    along = np.sqrt((BONE_LENGTHS_MM[name][0] / 1e3) ** 2 - offset @ offset)
-    knuckle = base + np.array([-along, *offset])
-    fan = np.radians(FINGER_FAN_DEG[name])
-    aim = np.array([-np.cos(fan), 0.0, np.sin(fan)])
-    girths = [(b, half_depth(b, c)) for b, c in JOINT_GIRTHS_MM[name]]
-    root = (0.93 * girths[0][0], 1.06 * girths[0][1])  # the finger's root is narrower and deeper than its first joint
-    tip = (0.80 * girths[1][0], 0.80 * girths[1][1])
-    return _chain(
-        knuckle, aim, np.array([0.0, -1.0, 0.0]), BONE_LENGTHS_MM[name][1:], FINGER_CURL_DEG, [root, *girths, tip]
-    )
-
-
-def _thumb() -> Finger:
-    joint = JOINT_GIRTHS_MM["thumb"][0][0], half_depth(*JOINT_GIRTHS_MM["thumb"][0])
-    base = (1.20 * joint[0], 1.45 * joint[1])  # the saddle joint lies deep in the ball of the thumb
-    first = (1.02 * joint[0], 1.12 * joint[1])
-    tip = (0.84 * joint[0], 0.78 * joint[1])
-    return _chain(
-        metacarpal_base("thumb"),
-        THUMB_DIRECTION,
-        THUMB_PAD_DIRECTION,
-        BONE_LENGTHS_MM["thumb"],
-        THUMB_CURL_DEG,
-        [base, first, joint, tip],
-    )
-
-
-def _chain(
-    start: Float[ndarray, "3"],
-    aim: Float[ndarray, "3"],
-    pad: Float[ndarray, "3"],
-    bones: tuple[float, ...],
-    curl: tuple[float, ...],
-    girths: list[tuple[float, float]],
-) -> Finger:
-    aim = aim / np.linalg.norm(aim)
-    hinge = np.cross(aim, pad)
-    hinge /= np.linalg.norm(hinge)
-    lengths = np.array([bones[0], bones[1], bones[2] + bones[3]]) / 1e3
-    directions = [se3.exp_so3(np.radians(angle) * hinge) @ aim for angle in np.cumsum(curl)]
-    points = start + np.cumsum([np.zeros(3), *(d * n for d, n in zip(directions, lengths, strict=True))], axis=0)
-    axes = np.array([[d, hinge, np.cross(d, hinge)] for d in directions])
-    axes[:, 2] *= -np.sign(axes[:, 2] @ pad)[:, None]
-    size = MALE_TO_MEAN_SIZE * np.array(girths) / 1e3
-    return Finger(points, axes, size[:, 0] / 2.0, size[:, 1])
-
-
-GENERIC_HAND_FILE = Path(__file__).with_name("generic_hand.npz")
-"""Its vertices and faces."""
-SHAPE_PARAMETER_NAMES = (
-    "size",
-    "thickness",
-    "palm_length",
-    "palm_breadth",
-    "proximal_phalanges",
-    "middle_phalanges",
-    "distal_phalanges",
-    "thumb_metacarpal",
-    "thumb_proximal",
-    "thumb_distal",
-    "index_length",
-    "ring_length",
-    "pinky_length",
-)
-"""Names of the shape parameters, each of which enlarges one part."""
-
-SHAPE_SIGMA = 0.1
-"""Standard deviation of the shape parameters; those of single bones are 7 to 15 % (Buryanov, Kotiuk, Table I)."""
+"""Bend of each joint of the thumb at rest [degrees]."""
 
 
 @lru_cache
 def load(side: Side) -> HandModel:
-    """Load the generic hand of one side; the left one is the right one mirrored in x.
+    """Load the generic hand of a side; the left one is the right one mirrored in x.
 
-    Raises ``UsageError`` for no side.
+    Raises ``UsageError`` for an unknown side.
     """
     check_word("side", side, Side)
     if side == "left":
@@ -341,7 +121,7 @@ def skin_weights(
 ) -> Float[ndarray, "V 16"]:
     """Compute skinning weights: a vertex belongs to the nearest finger, and along it to the adjacent bones.
 
-    Both memberships are smooth; what lies before the first joint of its finger belongs to the wrist.
+    Both memberships are smooth; vertices before the first joint of their finger belong to the wrist.
     """
     chains = [np.concatenate([metacarpal_base(name)[None], f.points]) for name, f in fingers.items()]
     chains[0] = chains[0][1:]  # the thumb's metacarpal is its first bone
@@ -376,15 +156,15 @@ def stretch_directions(
 ) -> tuple[Float[ndarray, "V 3 S"], Float[ndarray, "16 3 S"]]:
     """Compute the displacements of vertices and joints per unit of each shape parameter.
 
-    A parameter stretches the space around each bone by a 3x3 matrix M_j: a point x that goes with joint j moves by
-    d_j + M_j (x - J_j), where d_j is what the parent's stretch does to J_j; skinning weights blend these.
+    A parameter stretches the space around each bone by a 3x3 matrix M_j: a point x of joint j moves by d_j + M_j (x -
+    J_j), where d_j is the displacement of J_j by the parent's stretch; skinning weights blend these.
     """
     M = _bone_stretches(fingers)
     shift = np.zeros((len(SHAPE_PARAMETER_NAMES), 16, 3))
     for child, parent in enumerate(PARENTS):
         if parent >= 0:
             shift[:, child] = shift[:, parent] + M[:, parent] @ (joints[child] - joints[parent])
-    shift[SHAPE_PARAMETER_NAMES.index("thickness")] = 0.0  # thicker flesh leaves the bones where they are
+    shift[SHAPE_PARAMETER_NAMES.index("thickness")] = 0.0  # thicker flesh does not move the bones
     arm = vertices[:, None] - joints
     moved = shift[:, None] + np.einsum("sjab,vjb->svja", M, arm)
     return np.einsum("vj,svja->vas", weights, moved), np.moveaxis(shift, 0, -1)
@@ -450,10 +230,201 @@ def _neighbour_mean(values: Float[ndarray, "V n"], faces: Int[ndarray, "F 3"]) -
 
 
 def _smooth_step(x: Float[ndarray, "V"]) -> Float[ndarray, "V"]:
-    """From 0 at -1 to 1 at 1, with zero slope there."""
+    """Rise from 0 at -1 to 1 at 1, with zero slope at both."""
     t = np.clip((x + 1.0) / 2.0, 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
 
 def _unit(v: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
     return np.asarray(v / np.linalg.norm(v))
+
+
+@dataclass(frozen=True)
+class Finger:
+    """A finger at rest: a chain of four points.
+
+    Attributes:
+        points: (4, 3) first, second and third joint, and the tip of the flesh [m].
+        axes: (3, 3, 3) directions (along, across, towards the back) of each of the three segments, as rows.
+        breadth: (4,) half breadths at the points [m].
+        depth: (4,) half depths, from pad to back, at the points [m].
+    """
+
+    points: Float[ndarray, "4 3"]
+    axes: Float[ndarray, "3 3 3"]
+    breadth: Float[ndarray, "4"]
+    depth: Float[ndarray, "4"]
+
+
+def half_depth(breadth: float, circumference: float) -> float:
+    """Compute half the depth of an ellipse of given breadth and circumference, C ~ pi sqrt((b^2 + d^2) / 2)."""
+    return 0.5 * float(np.sqrt(2.0 * (circumference / np.pi) ** 2 - breadth**2))
+
+
+@cache
+def rest_fingers() -> Mapping[str, Finger]:
+    """Return the five fingers of the flat right hand [m]."""
+    fingers = {finger: _thumb() if finger == "thumb" else _finger(finger) for finger in FINGERS}
+    return MappingProxyType(fingers)
+
+
+def rest_joints() -> Float[ndarray, "16 3"]:
+    """Return the 16 joints of the flat right hand [m]."""
+    joints = np.zeros((len(MANO_JOINTS), 3))
+    joints[0] = MANO_WRIST_M
+    for finger, knuckle in zip(rest_fingers().values(), KNUCKLES, strict=True):
+        joints[knuckle : knuckle + 3] = finger.points[:3]
+    return joints
+
+
+def metacarpal_base(name: str) -> Float[ndarray, "3"]:
+    """Return the base of a finger's metacarpal [m]; the thumb's is its saddle joint."""
+    if name == "thumb":
+        return MANO_WRIST_M + THUMB_BASE_MM / 1e3
+    beyond, across = METACARPAL_BASES_MM[name]
+    return MANO_WRIST_M + np.array([-beyond, 0.0, across]) / 1e3
+
+
+def _finger(name: str) -> Finger:
+    base = metacarpal_base(name)
+    up, across = (v / 1e3 for v in KNUCKLE_OFFSETS_MM[name])
+    offset = np.array([up, MANO_WRIST_M[2] + across - base[2]])
+    along = np.sqrt((BONE_LENGTHS_MM[name][0] / 1e3) ** 2 - offset @ offset)
+    knuckle = base + np.array([-along, *offset])
+    fan = np.radians(FINGER_FAN_DEG[name])
+    aim = np.array([-np.cos(fan), 0.0, np.sin(fan)])
+    girths = [(b, half_depth(b, c)) for b, c in JOINT_GIRTHS_MM[name]]
+    root = (0.93 * girths[0][0], 1.06 * girths[0][1])  # narrower and deeper than the first joint
+    tip = (0.80 * girths[1][0], 0.80 * girths[1][1])
+    pad = np.array([0.0, -1.0, 0.0])
+    return _chain(knuckle, aim, pad, BONE_LENGTHS_MM[name][1:], FINGER_CURL_DEG, [root, *girths, tip])
+
+
+def _thumb() -> Finger:
+    joint = JOINT_GIRTHS_MM["thumb"][0][0], half_depth(*JOINT_GIRTHS_MM["thumb"][0])
+    base = (1.20 * joint[0], 1.45 * joint[1])  # the saddle joint is deep in the ball of the thumb
+    first = (1.02 * joint[0], 1.12 * joint[1])
+    tip = (0.84 * joint[0], 0.78 * joint[1])
+    start, bones, girths = metacarpal_base("thumb"), BONE_LENGTHS_MM["thumb"], [base, first, joint, tip]
+    return _chain(start, THUMB_DIRECTION, THUMB_PAD_DIRECTION, bones, THUMB_CURL_DEG, girths)
+
+
+def _chain(
+    start: Float[ndarray, "3"],
+    aim: Float[ndarray, "3"],
+    pad: Float[ndarray, "3"],
+    bones: tuple[float, ...],
+    curl: tuple[float, ...],
+    girths: list[tuple[float, float]],
+) -> Finger:
+    aim = aim / np.linalg.norm(aim)
+    hinge = np.cross(aim, pad)
+    hinge /= np.linalg.norm(hinge)
+    lengths = np.array([bones[0], bones[1], bones[2] + bones[3]]) / 1e3
+    directions = [se3.exp_so3(np.radians(angle) * hinge) @ aim for angle in np.cumsum(curl)]
+    points = start + np.cumsum([np.zeros(3), *(d * n for d, n in zip(directions, lengths, strict=True))], axis=0)
+    axes = np.array([[d, hinge, np.cross(d, hinge)] for d in directions])
+    axes[:, 2] *= -np.sign(axes[:, 2] @ pad)[:, None]
+    size = MALE_TO_MEAN_SIZE * np.array(girths) / 1e3
+    return Finger(points, axes, size[:, 0] / 2.0, size[:, 1])
+
+
+_WRIST_JOINT, _INDEX_KNUCKLE, _PINKY_KNUCKLE = 0, 5, 17
+FINGER_CHAINS = np.arange(1, 21).reshape(5, 4)
+"""Joints of each finger, from the palm to the tip."""
+BONE_OF_JOINT = np.zeros((21, 5, 3))
+"""Weight of each of the five fingers' three bones for each joint; for vertices: ``finger_weights``."""
+for _k in range(3):
+    BONE_OF_JOINT[FINGER_CHAINS[:, _k + 1], np.arange(5), _k] = 1.0
+_N_WEIGHT_SMOOTHINGS = 4
+
+
+def finger_weights(hand: HandTrack) -> Float[ndarray, "V 5 3"]:
+    """Compute each vertex's weights of the fingers' three bones, from palm to tip; the rest is the palm's.
+
+    The hand must have joints.
+    """
+    assert hand.joints is not None
+    ends = [(a, b) for chain in FINGER_CHAINS for a, b in pairwise(chain)]
+    ends += [(_WRIST_JOINT, knuckle) for knuckle in FINGER_CHAINS[:, 0]]
+    some = np.unique(np.linspace(0, len(hand.vertices) - 1, 5).astype(int))
+    a, b = (hand.joints[some][:, [pair[k] for pair in ends]] for k in (0, 1))
+    nearest = np.argmin(_to_segments(hand.vertices[some], a, b).sum(axis=0), axis=1)
+    weights = np.eye(len(ends))[nearest]
+    first, second = edge_table(hand.faces)[:, :2].T
+    count = np.bincount(np.concatenate([first, second]), minlength=len(weights)).astype(float)
+    for _ in range(_N_WEIGHT_SMOOTHINGS):
+        around = np.zeros_like(weights)
+        np.add.at(around, first, weights[second])
+        np.add.at(around, second, weights[first])
+        weights = 0.5 * weights + 0.5 * around / np.maximum(count, 1.0)[:, None]
+    return weights[:, :15].reshape(-1, 5, 3)
+
+
+def bend_fingers(
+    vertices: Float[ndarray, "T V 3"],
+    joints: Float[ndarray, "T 21 3"],
+    weights: Float[ndarray, "V 5 3"],
+    angles: Float[ndarray, "T 5 3"],
+    sideways: Float[ndarray, "T 5"] | None = None,
+) -> tuple[Float[ndarray, "T V 3"], Float[ndarray, "T 21 3"]]:
+    """Bend each finger's joints further by ``angles`` [rad], thumb first; return vertices and joints.
+
+    Fingers bend about an axis across the palm, the thumb towards the knuckle of the index finger or away from it. Then
+    each finger is turned ``sideways`` about its first joint [rad].
+    """
+    turns = se3.rotation_about_line(joints[:, FINGER_CHAINS[:, :3]], finger_hinge_axes(joints)[:, :, None], angles)
+    if sideways is not None:
+        first = joints[:, FINGER_CHAINS[:, 0]]
+        turns[:, :, 0] = se3.rotation_about_line(first, finger_spread_axes(joints), sideways) @ turns[:, :, 0]
+    for k in (1, 2):
+        turns[:, :, k] = turns[:, :, k - 1] @ turns[:, :, k]
+    moved, skeleton = np.empty_like(vertices), joints.copy()
+    skeleton[:, FINGER_CHAINS[:, 1:]] = se3.transform(turns, joints[:, FINGER_CHAINS[:, 1:], None])[..., 0, :]
+    _skin_vertices(vertices, np.ascontiguousarray(weights.reshape(-1, 15)), turns.reshape(-1, 15, 4, 4), moved)
+    return moved, skeleton
+
+
+@kernel("f3 f2 f4 f3", fastmath=False)
+def _skin_vertices(vertices: ndarray, weights: ndarray, T: ndarray, moved: ndarray) -> None:
+    """Move vertices (T, V, 3) by the motions (T, 15, 4, 4) of bones, weighted by the vertices' weights (V, 15)."""
+    for v in range(vertices.shape[1]):
+        for t in range(len(vertices)):
+            for i in range(3):
+                moved[t, v, i] = vertices[t, v, i]
+        for bone in range(weights.shape[1]):
+            w = weights[v, bone]
+            if w == 0.0:  # most weights
+                continue
+            for t in range(len(vertices)):
+                x, y, z = vertices[t, v, 0], vertices[t, v, 1], vertices[t, v, 2]
+                for i in range(3):
+                    to = T[t, bone, i, 0] * x + T[t, bone, i, 1] * y + T[t, bone, i, 2] * z + T[t, bone, i, 3]
+                    moved[t, v, i] += w * (to - vertices[t, v, i])
+
+
+def finger_hinge_axes(joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 5 3"]:
+    """Compute the fingers' unit hinge axes: across the palm; the thumb's is normal to its plane with the index."""
+    index, pinky = (joints[:, k] - joints[:, _WRIST_JOINT] for k in (_INDEX_KNUCKLE, _PINKY_KNUCKLE))
+    palm = np.cross(index, pinky)
+    thumb, ahead = (joints[:, k] - joints[:, FINGER_CHAINS[0, 0]] for k in (FINGER_CHAINS[0, 3], _INDEX_KNUCKLE))
+    along = joints[:, FINGER_CHAINS[1:, 1]] - joints[:, FINGER_CHAINS[1:, 0]]
+    fingers = np.cross(along, palm[:, None])
+    axes = np.concatenate([np.cross(thumb, ahead)[:, None], fingers], axis=1)
+    return np.asarray(axes / np.maximum(np.linalg.norm(axes, axis=-1, keepdims=True), 1e-12))
+
+
+def finger_spread_axes(joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 5 3"]:
+    """Compute the fingers' unit axes of sideways turns: perpendicular to hinges and first bones."""
+    axes = np.cross(joints[:, FINGER_CHAINS[:, 1]] - joints[:, FINGER_CHAINS[:, 0]], finger_hinge_axes(joints))
+    return np.asarray(axes / np.maximum(np.linalg.norm(axes, axis=-1, keepdims=True), 1e-12))
+
+
+def _to_segments(
+    X: Float[ndarray, "T V 3"], a: Float[ndarray, "T B 3"], b: Float[ndarray, "T B 3"]
+) -> Float[ndarray, "T V B"]:
+    """Compute distances of points to segments [m]."""
+    d = b - a
+    x = X[:, :, None] - a[:, None]
+    t = np.clip(np.sum(x * d[:, None], axis=-1) / np.maximum(np.sum(d * d, axis=-1), 1e-12)[:, None], 0.0, 1.0)
+    return np.asarray(np.linalg.norm(x - t[..., None] * d[:, None], axis=-1))

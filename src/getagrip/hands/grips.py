@@ -1,6 +1,7 @@
-"""The usual ways to take an object of a category, and how its size and shape vary: what is known where only its kind is.
+"""Priors by object category: typical grips, and the variation of size and shape.
 
-Directions and places are in the frame of the category's mesh: z up, the front or the handle at +x (``synthetic.objects``).
+Directions and points are in the frame of the category's mesh: z up, the front or the handle at +x
+(``synthetic.objects``).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from getagrip.geometry import se3
 
 @dataclass(frozen=True)
 class HoldFrame:
-    """A place of the right hand that objects come to, in the hand frame."""
+    """A frame at the palm or the fingertips of the right hand, in the hand frame; see ``Grip``."""
 
     at: tuple[float, float, float]
     into: tuple[float, float, float]
@@ -32,31 +33,33 @@ HOLD_FRAMES = {
 
 @dataclass(frozen=True)
 class Grip:
-    """A grip: place and directions in the object's frame; directions need not be of unit length."""
+    """A grip: a point and directions in the object's frame; directions of any length.
+
+    Attributes:
+        hold: palm, or pinch between the fingertips.
+        at: the point at the palm, or between the pads [m].
+        into: the direction away from the hand.
+        aside: palm: the direction towards the thumb's side; pinch: from the thumb to the fingers.
+    """
 
     hold: Literal["palm", "pinch"]
     at: tuple[float, float, float]
-    """The point that comes to the palm, or between the pads [m]."""
     into: tuple[float, float, float]
-    """The direction away from the hand."""
     aside: tuple[float, float, float]
-    """Palm: the direction that comes to lie on the thumb's side. Pinch: from the thumb to the fingers."""
 
     @property
     def R_hand_obj(self) -> Float[ndarray, "3 3"]:
         """The object's rotation in the frame of a right hand."""
         hold = HOLD_FRAMES[self.hold]
         T_hand_grip = frame_from_axes(np.array(hold.into), np.array(hold.aside), np.array(hold.at))
-        return (
-            T_hand_grip[:3, :3]
-            @ frame_from_axes(np.array(self.into), np.array(self.aside), np.array(self.at))[:3, :3].T
-        )
+        T_obj_grip = frame_from_axes(np.array(self.into), np.array(self.aside), np.array(self.at))
+        return T_hand_grip[:3, :3] @ T_obj_grip[:3, :3].T
 
 
 def frame_from_axes(
     into: Real[ndarray, "3"], aside: Real[ndarray, "3"], at: Real[ndarray, "3"]
 ) -> Float[ndarray, "4 4"]:
-    """Make a frame with x along ``into`` and y as near to ``aside`` as can be."""
+    """Make a frame with x along ``into`` and y as near to ``aside`` as possible."""
     x = np.asarray(into, dtype=float) / np.linalg.norm(into)
     z = np.cross(x, aside)
     z /= np.linalg.norm(z)
@@ -65,19 +68,23 @@ def frame_from_axes(
 
 @dataclass(frozen=True)
 class CategoryPrior:
-    """A category of objects: the ways to take one, and how its size and shape vary."""
+    """Typical grips of a category's objects, and the variation of their size and shape.
+
+    Attributes:
+        grips: the most frequent grips.
+        rarer: further grips, for clips of varied grasps.
+        spread: standard deviation of the logarithm of the size, among objects in kitchens: a coarse assumption.
+        stretch: standard deviation of stretches along x, y and z; None: ``fitting.stages.mesh_deformation``'s.
+        bend: standard deviation of other deformations, likewise; small for flat sides.
+        opens_up: True for a vessel or bottle: grasps with its opening on the little finger's side are rare.
+    """
 
     grips: tuple[Grip, ...]
     rarer: tuple[Grip, ...] = ()
-    """Further ways, for clips whose grasps are to vary."""
     spread: float = 0.25
-    """Standard deviation of the logarithm of its size, from one such object in a kitchen to another: a coarse guess."""
     stretch: float | None = None
-    """Standard deviation of its stretches along x, y and z, if not that of any mesh (``fitting.stages.mesh_deformation``)."""
     bend: float | None = None
-    """Standard deviation of its other deformations, if not that of any mesh: small where sides are flat."""
     opens_up: bool = False
-    """True for a vessel or bottle, which is hardly ever held with its opening on the little finger's side."""
 
 
 _ROUND_GRIP = Grip("palm", (0, 0, 0), (1, 0, 0), (0, 0, 1))
@@ -87,7 +94,7 @@ _BAR_FROM_BELOW_GRIP = Grip("palm", (0, 0, 0), (0, -0.6, 1), (-1, 0, 0))
 
 
 def _rim_grip(radius: float, height: float) -> Grip:
-    """By the rim of a vessel, the thumb inside."""
+    """Make the grip of a vessel by its rim, the thumb inside."""
     return Grip("pinch", (radius, 0, height), (-0.25, 0, -1), (1, 0, 0))
 
 
@@ -96,7 +103,7 @@ CATEGORY_PRIORS: dict[str, CategoryPrior] = {
         (Grip("palm", (0, 0, -0.02), (1, 0, 0), (0, 0, 1)),),
         (Grip("palm", (0, 0, 0.06), (1, 0, 0), (0, 0, 1)), Grip("palm", (0, 0, 0.03), (1, 0, 0), (0, 0, -1))),
         spread=0.5,
-        stretch=0.2,  # they are slim, squat or flat
+        stretch=0.2,  # slim, squat or flat
         opens_up=True,
     ),
     "bowl": CategoryPrior((Grip("pinch", (0.072, 0, 0.055), (-0.25, 0, -1), (1, 0, 0)),), opens_up=True),
@@ -111,7 +118,7 @@ CATEGORY_PRIORS: dict[str, CategoryPrior] = {
     "mug": CategoryPrior(
         (
             Grip("palm", (0.077, 0, 0.05), (-1, 0, 0), (0, 0, 1)),  # by the handle
-            Grip("palm", (0, 0, 0.05), (0.3, 1, 0), (0, 0, 1)),  # round the body, the handle beyond the fingers
+            Grip("palm", (0, 0, 0.05), (0.3, 1, 0), (0, 0, 1)),  # around the body, the handle beyond the fingers
         ),
         (Grip("pinch", (0, -0.039, 0.085), (0, 0.25, -1), (0, -1, 0)),),  # by the rim
         spread=0.15,
@@ -131,7 +138,7 @@ CATEGORY_PRIORS: dict[str, CategoryPrior] = {
         (
             Grip("palm", (0.145, 0, 0.013), (0, 0.5, -1), (-1, 0, 0)),  # by the filter's handle
             Grip("palm", (-0.055, 0, -0.01), (1, 0, 0), (0, 0, 1)),  # by the column
-        ),
+        )
     ),
     "kettle": CategoryPrior((Grip("palm", (0.127, 0, 0.085), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
     "ketchup": CategoryPrior((Grip("palm", (0, 0, 0.02), (1, 0, 0), (0, 0, 1)),)),
@@ -147,4 +154,4 @@ CATEGORY_PRIORS: dict[str, CategoryPrior] = {
     "jar": CategoryPrior((_ROUND_GRIP,), spread=0.4, stretch=0.2),
     "pitcher": CategoryPrior((Grip("palm", (0.102, 0, 0.1), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
 }
-"""The nine categories of EPIC-Grasps, those of ARCTIC, and others."""
+"""Priors of the nine categories of EPIC-Grasps, ARCTIC's categories, and others."""

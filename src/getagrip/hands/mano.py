@@ -1,10 +1,9 @@
 """MANO hands, from the user's own licensed ``MANO_RIGHT.pkl`` and ``MANO_LEFT.pkl`` (https://mano.is.tue.mpg.de).
 
-Nothing of MANO is in this package but the numbers of five vertices, the fingertips in common use (manopth).
+This package contains nothing of MANO except the ids of five vertices, the fingertips in common use (manopth).
 
-The published left hand has the x displacements of its shape space with the wrong sign; ``load`` turns them
-(https://github.com/vchoutas/smplx/issues/48). It expects the file as published: one that somebody has repaired already
-would be broken by it.
+The published left hand has the x displacements of its shape space with the wrong sign; ``load`` negates them
+(https://github.com/vchoutas/smplx/issues/48). It expects the published file: a repaired one would become wrong.
 """
 
 from __future__ import annotations
@@ -40,12 +39,12 @@ MANO_ARRAY_SHAPES = {
     "hands_mean": (45,),
     "kintree_table": (2, 16),
 }
-"""Arrays of a MANO file that are read, and their shapes."""
+"""The arrays read from a MANO file, and their shapes."""
 FINGERTIP_VERTICES = {"right": (745, 317, 444, 556, 673), "left": (745, 317, 445, 556, 673)}
 """Vertices at the tips of thumb, index, middle, ring and little finger, as in manopth, DexYCB and HO-3D."""
 MANO_PALM_DIRECTION = np.array([0.0, -1.0, 0.0])
 MANO_THUMB_DIRECTION = np.array([0.0, -1.0, -2.0])
-"""Direction that the thumb's pad faces on the flat hand: palm and fingers face -y, the thumb turns to the fingers."""
+"""Directions that palm and fingers, and the thumb's pad, face on the flat hand."""
 EXPECTED_MANO_PICKLE = "a MANO pickle"
 MANO_PICKLE_CLASSES = {
     ("chumpy", "Ch"): "Ch",
@@ -58,7 +57,7 @@ MANO_PICKLE_CLASSES = {
     },
 }
 MAX_MATRIX_ENTRIES = 2**24
-"""Numbers in a matrix, and of those that are selected from one."""
+"""Maximum number of entries in a matrix, and of entries selected from one."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ class Mano:
     def pose(
         self, values: Float[ndarray, "*batch P"], encoding: Literal["axis_angle", "pca"], flat_hand_mean: bool
     ) -> Float[ndarray, "*batch 45"]:
-        """Convert a pose of any encoding to the one that ``with_pose`` takes.
+        """Convert a pose to the encoding of ``ShapedHand.with_pose``.
 
         ``axis_angle``: 45 numbers [rad]; ``pca``: up to 45 coefficients. With ``flat_hand_mean`` they are relative to
         the flat hand (full poses of HO-3D, HOI4D, HaMeR), without it to the mean pose (DexYCB, HOT3D, ARCTIC).
@@ -88,17 +87,16 @@ class Mano:
         if encoding == "pca" and 0 < count <= 45:
             values = np.asarray(values) @ self.components[:count]
         elif encoding != "axis_angle" or count != 45:
-            raise UsageError(
-                f"MANO pose must be 45 numbers as 'axis_angle' or 1 to 45 as 'pca' (got {count} as {encoding!r})"
-            )
+            got = f"{count} as {encoding!r}"
+            raise UsageError(f"MANO pose must be 45 numbers as 'axis_angle' or 1 to 45 as 'pca' (got {got})")
         return np.asarray(values) + (0.0 if flat_hand_mean else self.mean)
 
 
 def load(path: str | Path, side: Side) -> Mano:
     """Read a published MANO file safely: no code in it is run.
 
-    The arrays are kept as ``.npz`` in the user's cache folder, named by the file's SHA-256. Raises ``InputError`` for
-    a missing, hostile or malformed file, and for one that holds the other hand, ``UsageError`` for no side.
+    The arrays are cached as ``.npz`` in the user's cache folder, named by the file's SHA-256. Raises ``InputError`` for
+    a missing, hostile or malformed file, or the other hand's, and ``UsageError`` for an unknown side.
     """
     check_word("side", side, Side)
     path = Path(path)
@@ -107,14 +105,14 @@ def load(path: str | Path, side: Side) -> Mano:
     values = _read_mano_cache(cache)
     if values is None:
         values = check_mano_arrays(path, read_mano_pickle(path, content))
-        # A full or read-only disk costs only the time of reading the pickle again.
+        # On a full or read-only disk, the pickle is read again the next time.
         with suppress(OSError), files.new_file(cache) as part:
             np.savez_compressed(part, **values)  # type: ignore[arg-type]
     return _make_mano(path, values, side)
 
 
 def check_mano_arrays(path: Path, values: dict[str, object]) -> dict[str, ndarray]:
-    """Check that the arrays of a MANO file have the right shapes and are finite; raise ``InputError`` otherwise."""
+    """Return the arrays of a MANO file, checked. Raises ``InputError`` for wrong shapes and non-finite numbers."""
     found = {}
     for key, shape in MANO_ARRAY_SHAPES.items():
         if key not in values:
@@ -136,7 +134,7 @@ def check_mano_arrays(path: Path, values: dict[str, object]) -> dict[str, ndarra
 def _make_mano(path: Path, values: dict[str, ndarray], side: Side) -> Mano:
     template, shape = values["v_template"], values["shapedirs"].copy()
     joints = values["J_regressor"] @ template
-    found = "right" if joints[0, 0] > 0 else "left"  # the wrist of a right hand lies towards +x
+    found = "right" if joints[0, 0] > 0 else "left"  # a right hand's wrist is towards +x
     if found != side:
         raise InputError(path, "v_template", f"a {found} hand", f"a {side} hand")
     if side == "left":
@@ -170,9 +168,9 @@ def mano_contact_regions(
     joints: Float[ndarray, "16 3"],
     weights: Float[ndarray, "V 16"],
 ) -> dict[str, Int[ndarray, "_"]]:
-    """Return the contact regions of a flat hand of either side, skinned to MANO's joints; see ``hands.model``.
+    """Return the contact regions of a flat hand of either side, skinned to MANO's joints (``hands.model``).
 
-    A fingertip's pad faces where its finger does, at right angles to the finger.
+    A fingertip's pad faces the direction of its finger, perpendicular to the finger.
     """
     normals = vertex_normals(template, faces)
     of_fingers = np.stack([weights[:, knuckle : knuckle + 3] for knuckle in KNUCKLES], axis=1)
@@ -198,7 +196,7 @@ def _read_mano_cache(cache: Path) -> dict[str, ndarray] | None:
         return None  # a damaged cache is made again
 
 
-@lru_cache(maxsize=2)  # one for each side: it is asked for at every clip
+@lru_cache(maxsize=2)  # one per side, used by every clip
 def _cached_mano_arrays(cache: Path, changed: int, size: int) -> dict[str, ndarray]:
     return check_mano_arrays(cache, dict(arrays.read(cache, MANO_ARRAY_SHAPES.__contains__)))
 
@@ -206,14 +204,12 @@ def _cached_mano_arrays(cache: Path, changed: int, size: int) -> dict[str, ndarr
 def read_mano_pickle(path: Path, content: bytes) -> dict[str, object]:
     """Read the dictionary in a MANO pickle; chumpy's and sparse arrays become plain ones.
 
-    Raises ``InputError`` for pickles that name anything but arrays, are malformed, or hold no dictionary.
+    Raises ``InputError`` for malformed pickles, names other than arrays', and all but a dictionary.
     """
     values = pickles.read_pickle_dict(path, content, EXPECTED_MANO_PICKLE, MANO_PICKLE_CLASSES)
     try:
-        return {
-            key: _expand_chumpy(value) if isinstance(value, PickledInstance) else value for key, value in values.items()
-        }
-    except Exception as error:  # what is wrong with a state is as various as states are
+        return {key: _expand_chumpy(one) if isinstance(one, PickledInstance) else one for key, one in values.items()}
+    except Exception as error:  # a malformed state may raise any type
         raise InputError(path, "", f"a pickle that does not load ({error})", EXPECTED_MANO_PICKLE) from error
 
 

@@ -3,7 +3,7 @@
     model = generic.load("right")            # HandModel: template, joints, weights, shape space
     shaped = model.with_shape(shape)         # ShapedHand: the flat hand of one person
     posed = shaped.with_pose(pose)           # PosedHand: vertices, joints and contact regions in the hand frame
-    track = hand_track(posed, T_cam_hand)    # HandTrack: what a clip holds
+    track = hand_track(posed, T_cam_hand)    # HandTrack: the hand of a clip
 
 All models share one hand frame and one joint tree, MANO's. The frame is MANO's template frame at zero global rotation:
 of a right hand the wrist lies towards +x, the fingers point to -x, the palm faces -y, the thumb is at +z; a left hand
@@ -13,16 +13,14 @@ is the right one mirrored in x. The wrist is not the origin: MANO turns a hand a
 Equations: linear blend skinning with linear shape and pose corrections, as in SMPL (Loper et al., "SMPL", SIGGRAPH Asia
 2015, Eq. 2-10) and MANO (Romero, Tzionas, Black, "Embodied Hands", SIGGRAPH Asia 2017).
 
-Contact regions of a skinned hand at rest: the pads of the fingertips and three areas of the palm.
-
-They follow from skinning weights, normals and joints, so any hand model with bones has them. The areas of the palm are,
-as in objects-along-hit, the ball of the thumb, the cushions below the fingers' roots, and the edge below the little
-finger.
+Contact regions are the pads of the fingertips and, as in objects-along-hit, three areas of the palm: the ball of the
+thumb, the cushions below the fingers' roots, and the edge below the little finger. They follow from skinning weights,
+normals and joints at rest, for any hand model with bones.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -41,20 +39,22 @@ MANO_JOINTS = (
     "wrist",
     *(f"{finger}{n}" for finger in ("index", "middle", "pinky", "ring", "thumb") for n in (1, 2, 3)),
 )
-"""The 16 joints in MANO's order; the pose holds three numbers for each but the wrist."""
+"""The 16 joints in MANO's order; the pose has three numbers for each except the wrist."""
 PARENTS = (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)
 """Parent of each of the 16 joints."""
 KNUCKLES = tuple(MANO_JOINTS.index(f"{finger}1") for finger in FINGERS)
 """The first joint of each finger, in the order of ``FINGERS``."""
 PALM_REGIONS = ("palm_thumb", "palm_fingers", "palm_edge")
 """Contact regions of the palm: the ball of the thumb, below the fingers' roots, the edge below the little finger."""
+MIN_BONE_WEIGHT = 0.5
+"""Skinning weight above which a vertex belongs to a bone."""
 SIDE_MIRROR = np.array([-1.0, 1.0, 1.0])
-"""Mirrors points between right and left hands."""
+"""Factors that mirror points between right and left hands."""
 
 
 @dataclass(frozen=True)
 class PosedHand:
-    """Hands in the hand frame; every hand model, skinned here or not, ends in this.
+    """Hands in the hand frame: the result of every hand model.
 
     Attributes:
         side: ``left`` or ``right``.
@@ -79,7 +79,7 @@ class PosedHand:
 
 @dataclass(frozen=True)
 class HandModel:
-    """A hand that shape and pose deform.
+    """A hand that deforms with shape and pose.
 
     Attributes:
         name: name, for messages.
@@ -90,7 +90,7 @@ class HandModel:
         weights: (V, 16) skinning weights; rows sum to one.
         tips: (5,) the vertex at the tip of each of the ``FINGERS``.
         regions: contact regions by name, (n,) vertex ids each.
-        shape_names: what each shape parameter means.
+        shape_names: meaning of each shape parameter.
         shape_directions: (V, 3, S) displacement of the vertices per unit of each shape parameter [m].
         joint_directions: (16, 3, S) displacement of the joints per unit of each shape parameter [m].
         shape_spread: (S,) standard deviation of each shape parameter among people.
@@ -113,9 +113,9 @@ class HandModel:
     pose_directions: Float[ndarray, "V 3 135"] | None = None
 
     def with_shape(self, shape: Float[ndarray, "..."] | None = None) -> ShapedHand:
-        """Return the flat hand of one person, or of several; the mean hand when no shape is given.
+        """Return the flat hands of shapes (..., S); the mean hand without a shape.
 
-        Raises ``UsageError`` where the last axis is not as long as ``shape_names``.
+        Raises ``UsageError`` unless the last axis has the length of ``shape_names``.
         """
         count = len(self.shape_names)
         shape = np.zeros(count) if shape is None else np.asarray(shape, dtype=float)
@@ -130,12 +130,12 @@ class HandModel:
 
 @dataclass(frozen=True)
 class ShapedHand:
-    """A flat hand of given shape.
+    """Flat hands of some shapes.
 
     Attributes:
-        model: the model that was shaped.
+        model: the hand model.
         vertices: (..., V, 3) vertices of the flat hand, in the hand frame [m].
-        joints: (..., 16, 3) its joints, in the hand frame [m].
+        joints: (..., 16, 3) joints of the flat hand, in the hand frame [m].
     """
 
     model: HandModel
@@ -143,10 +143,10 @@ class ShapedHand:
     joints: Float[ndarray, "*batch 16 3"]
 
     def with_pose(self, pose: Float[ndarray, "..."] | None = None) -> PosedHand:
-        """Return the hand with its fingers turned; the flat hand when no pose is given.
+        """Return the hands with fingers turned by a pose; the flat hands without one.
 
-        ``pose`` (..., 45) holds a rotation vector [rad] for each joint but the wrist, in MANO's order, relative to the
-        flat hand and in its axes. Raises ``UsageError`` where the last axis is not of length 45.
+        ``pose`` (..., 45) has a rotation vector [rad] for each joint except the wrist, in MANO's order, relative to the
+        flat hand and in its axes. Raises ``UsageError`` unless the last axis has length 45.
         """
         model = self.model
         pose = np.zeros(45) if pose is None else np.asarray(pose, dtype=float)
@@ -187,9 +187,9 @@ def skin(
     T: Float[ndarray, "*#batch joints 4 4"],
     joints: Float[ndarray, "*#batch joints 3"],
 ) -> Float[ndarray, "*batch V 3"]:
-    """Apply linear blend skinning: a vertex moves with the weighted mean of the joints' motions since rest.
+    """Apply linear blend skinning: a vertex moves with the weighted mean of the joints' motions from rest.
 
-    ``T`` maps joint frames into the hand frame; ``joints`` are their origins at rest, where their axes are the hand's.
+    ``T`` maps joint frames into the hand frame; ``joints`` are their origins at rest, with the hand's axes.
     """
     motion = np.array(np.broadcast_to(T, (*np.broadcast_shapes(T.shape[:-3], joints.shape[:-2]), *T.shape[-3:])))
     motion[..., :3, 3] -= (T[..., :3, :3] @ joints[..., None])[..., 0]
@@ -201,10 +201,7 @@ def skin(
 def root_transform(
     R: Float[ndarray, "*#batch 3 3"], t: Float[ndarray, "*#batch 3"], root: Float[ndarray, "*#batch 3"]
 ) -> Float[ndarray, "*batch 4 4"]:
-    """Return ``T_cam_hand`` of MANO's global rotation R and translation t [m].
-
-    They turn the hand about its root joint J0.
-    """
+    """Return ``T_cam_hand`` of MANO's global rotation R about the root joint J0 (``root``), and translation t [m]."""
     return se3.rigid(R, root - (R @ root[..., None])[..., 0] + t)
 
 
@@ -214,33 +211,28 @@ def mirrored(points: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3"]:
 
 
 def mirrored_pose(pose: Float[ndarray, "*batch 45"]) -> Float[ndarray, "*batch 45"]:
-    """Return the mirror image's pose, of the other hand (rotation vectors are axial: y and z change sign)."""
+    """Mirror a pose to the other hand (rotation vectors are axial: y and z change sign)."""
     return pose * np.tile([1.0, -1.0, -1.0], 15)
 
 
 def mirrored_model(model: HandModel) -> HandModel:
-    """Return the same hand of the other side."""
-    return HandModel(
-        name=model.name,
+    """Return the hand model of the other side, without ``pose_directions``."""
+    return replace(
+        model,
         side="left" if model.side == "right" else "right",
         template=mirrored(model.template),
         faces=model.faces[:, ::-1].copy(),
         joints=mirrored(model.joints),
-        weights=model.weights,
-        tips=model.tips,
-        regions=model.regions,
-        shape_names=model.shape_names,
         shape_directions=model.shape_directions * SIDE_MIRROR[:, None],
         joint_directions=model.joint_directions * SIDE_MIRROR[:, None],
-        shape_spread=model.shape_spread,
         pose_directions=None,
     )
 
 
 def hand_track(posed: PosedHand, T_cam_hand: Float[ndarray, "T 4 4"]) -> HandTrack:
-    """Return a hand in every frame, as clips hold it; one posed hand serves all frames where it has no batch axis.
+    """Make the hand of a clip; a posed hand without a batch axis serves all frames.
 
-    Raises ``UsageError`` where the hands are neither one nor as many as the frames, or ``T_cam_hand`` is not rigid.
+    Raises ``UsageError`` for a number of hands that is neither 1 nor T, or ``T_cam_hand`` that is not rigid.
     """
     T = len(T_cam_hand)
     if posed.vertices.shape[:-2] not in {(), (1,), (T,)}:
@@ -256,10 +248,6 @@ def hand_track(posed: PosedHand, T_cam_hand: Float[ndarray, "T 4 4"]) -> HandTra
     )
 
 
-MIN_BONE_WEIGHT = 0.5
-"""A vertex belongs to a bone that has more than this share of its weight."""
-
-
 def contact_regions(
     of_palm: Float[ndarray, "V"],
     of_fingers: Float[ndarray, "V 5 3"],
@@ -271,8 +259,8 @@ def contact_regions(
     """Return vertex ids of the five ``FINGERS``' pads and of the ``PALM_REGIONS``.
 
     ``of_palm`` and ``of_fingers`` are skinning weights, the latter of three bones for each of the ``FINGERS``.
-    ``towards_pads`` and ``towards_palm`` are the components of the unit normals in the direction that each last phalanx
-    and the palm face. ``length`` and ``across`` say where on the palm a vertex lies (``position_on_palm``).
+    ``towards_pads`` and ``towards_palm`` are the components of the unit normals in the directions that each last
+    phalanx and the palm face. ``length`` and ``across`` are the vertices' positions on the palm (``position_on_palm``).
     """
     palm, bones = of_palm > MIN_BONE_WEIGHT, of_fingers > MIN_BONE_WEIGHT
     pads = [bones[:, n, 2] & (towards_pads[:, n] > 0.2) for n in range(len(FINGERS))]
@@ -287,11 +275,10 @@ def contact_regions(
 def position_on_palm(
     x: Float[ndarray, "V 3"], wrist: Float[ndarray, "3"], index: Float[ndarray, "3"], pinky: Float[ndarray, "3"]
 ) -> tuple[Float[ndarray, "V"], Float[ndarray, "V"]]:
-    """Return the position on the palm as ``length`` and ``across``.
+    """Return positions on the palm: ``length`` from 0 at the wrist to 1 at the knuckles, along x; and ``across``.
 
-    ``length`` is 0 at the wrist and 1 at the knuckles, along x; ``across`` is 0 below the index and 1 below the little
-    finger. ``wrist``, ``index`` and ``pinky`` are the wrist and the first joints of these fingers, in the frame of
-    ``x``.
+    ``across`` is 0 below the index and 1 below the little finger. ``wrist``, ``index`` and ``pinky`` are the wrist and
+    the first joints of these fingers, in the frame of ``x``.
     """
     length = (x - wrist)[:, 0] / (0.5 * (index + pinky) - wrist)[0]
     return length, (x - index) @ (pinky - index) / np.sum((pinky - index) ** 2)

@@ -8,7 +8,7 @@ third and fourth hinge:
 
     M_f,i = rot(line_f,1, angle_f,1) ... rot(line_f,i, angle_f,i)      x = sum_b w_b M_b x_rest
 
-The last two of the 22 angles, the wrist's, move nothing, as in the toolkit. The profile holds a left hand in
+The last two of the 22 angles, the wrist's, have no effect, as in the toolkit. The profile describes a left hand in
 millimetres; a right hand is the left one mirrored in x.
 """
 
@@ -39,12 +39,11 @@ UMETRACK_SHAPES = {
     "landmark_rest_positions": (21, 3),
 }
 
-# Where MANO's template frame lies in the UmeTrack wrist frame of a left hand. HOT3D has every hand in both models:
-# this is the mean over the four hands of its test sample, from which they differ by up to 4 degrees and 7 mm.
 ROTATION_WRIST_HAND = np.radians([2.45, -3.75, 0.25])
-"""Rotation vector [rad]."""
+"""Rotation vector from MANO's template frame to the UmeTrack wrist frame of a left hand [rad]: the mean of the four
+hands of HOT3D's test sample, which has every hand in both models. They differ from it by up to 4 degrees and 7 mm."""
 ROOT_IN_WRIST = np.array([0.0160, -0.0036, -0.0001])
-"""MANO's root joint in the UmeTrack wrist frame [m]."""
+"""MANO's root joint in the UmeTrack wrist frame [m], likewise."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ class UmeTrackHand:
         return PosedHand(side, vertices, faces, joints, self.regions)
 
     def _bones(self, angles: Float[ndarray, "*batch 20"]) -> Float[ndarray, "*batch 17 4 4"]:
-        """Motion of root, wrist and finger bones since rest, in the wrist frame."""
+        """Compute the motion of root, wrist and finger bones from rest, in the wrist frame."""
         turns = se3.rotation_about_line(self.pivots, self.axes, angles)
         M = np.zeros((*angles.shape[:-1], 17, 4, 4))
         M[..., :, :, :] = np.eye(4)
@@ -100,9 +99,9 @@ class UmeTrackHand:
 
     @cached_property
     def regions(self) -> dict[str, Int[ndarray, "_"]]:
-        """Contact regions: the palmar side of the last phalanges, and three areas of the palm.
+        """Contact regions of the hand at rest (``hands.model``): the pads of the last phalanges, and areas of the palm.
 
-        Found on the hand at rest (``hands.model``); a last phalanx faces where its tip goes when it bends.
+        A last phalanx faces the direction in which its tip moves when it bends.
         """
         x, normals = self.rest.vertices, self.rest.normals
         along = self.tips - self.pivots[3::4]
@@ -119,7 +118,7 @@ class UmeTrackHand:
 
 
 def load(path: Path) -> UmeTrackHand:
-    """Read ``umetrack_hand_user_profile.json``. Raises ``InputError`` where it is not such a file."""
+    """Read ``umetrack_hand_user_profile.json``. Raises ``InputError`` for any other file."""
     model = read_json(path).get("hand_model")
     if not isinstance(model, dict):
         raise InputError(path, "hand_model", "nothing", "a UmeTrack hand model")
@@ -145,7 +144,7 @@ def load(path: Path) -> UmeTrackHand:
 
 
 def T_world_hand(side: Side, T_world_wrist: Float[ndarray, "*batch 4 4"]) -> Float[ndarray, "*batch 4 4"]:
-    """Return our hand frame in the world, from HOT3D's ``wrist_xform``."""
+    """Convert HOT3D's ``wrist_xform`` to the pose of the package's hand frame in the world."""
     return T_world_wrist @ _t_wrist_hand(side)
 
 
@@ -157,7 +156,7 @@ def _t_wrist_hand(side: Side) -> Float[ndarray, "4 4"]:
 
 
 def close_boundary(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "G 3"]:
-    """Close an open mesh along one ring by a fan of faces from one of its vertices."""
+    """Close a mesh with one boundary loop by a fan of faces from one of the loop's vertices."""
     edges = edge_table(faces)
     rim = edges[edges[:, 3] == len(faces), :2]
     if len(rim) == 0:

@@ -1,7 +1,4 @@
-"""Frozen dataclasses that hold arrays: their shapes are checked when they are made, and they compare by content.
-
-Data in few lines, for the last line of a notebook's cell; tables, pictures and pages of it are made further up.
-"""
+"""Frozen dataclasses of arrays: shapes checked on creation, comparison by content, a short ``repr`` for notebooks."""
 
 from __future__ import annotations
 
@@ -22,93 +19,33 @@ from getagrip.errors import NamedFields, UsageError, argument_types, check_types
 from getagrip.io import files
 from getagrip.io.images import PackedMasks
 
-MAX_BRIEF_LINES, BRIEF_WIDTH_CHARS = 6, 100
-"""The most lines, and the letters in each."""
-MAX_BRIEF_ITEMS = 3
-"""Entries of a collection that are written out."""
+MAX_REPR_LINES, MAX_REPR_LINE_CHARS = 6, 100
+MAX_REPR_ITEMS = 3
+"""Longest collection that ``repr`` writes in full."""
+ARRAY_KINDS: dict[object, tuple[str, type, str]] = {
+    Float: ("f", float, "floats"), Int: ("iu", np.int64, "integers"), Bool: ("b", bool, "booleans"),
+}  # fmt: skip
+"""For each of jaxtyping's types: numpy's kinds, the type of the stored array, and its name in errors."""
 
 
 class Brief:
-    """A base of dataclasses that show themselves in few lines, and in a notebook as a table with a picture."""
+    """A base of dataclasses with a ``repr`` of a few lines, and a table with a picture in notebooks."""
 
     def __init_subclass__(cls) -> None:
-        """Give the class its short form; ``dataclass`` keeps one that is there."""
-        cls.__repr__ = summarise_dataclass  # type: ignore[method-assign]
+        """Set the class's ``repr``, which ``dataclass`` keeps."""
+        cls.__repr__ = lambda self: summarise_dataclass(self)  # type: ignore[method-assign]  # noqa: PLW0108
 
     def _repr_html_(self) -> str:
         return str(view("render_html")(self))
 
 
-def summarise_dataclass(data: object) -> str:
-    """Write a dataclass in at most ``MAX_BRIEF_LINES`` lines: arrays by kind and shape, long collections by their ends."""
-    parts = [f"{name}={text}" for name, text in summarise_fields(data).items()]
-    text = f"{type(data).__name__}({', '.join(parts)})"
-    return "\n".join(
-        wrap(text, BRIEF_WIDTH_CHARS, subsequent_indent="  ", max_lines=MAX_BRIEF_LINES, placeholder=" ...)")
-    )
-
-
-def summarise_fields(data: Any) -> dict[str, str]:
-    """Write each field of a dataclass in short; fields that are None or empty are left out."""
-    values = {field.name: getattr(data, field.name) for field in fields(data)}
-    sized = str | list | tuple | Mapping
-    return {
-        name: summarise_value(it) for name, it in values.items() if (it if isinstance(it, sized) else it is not None)
-    }
-
-
-def summarise_value(value: object) -> str:
-    """Write a value in some words."""
-    if isinstance(value, np.ndarray | PackedMasks):
-        return _summarise_array(value)
-    if isinstance(value, Mapping):
-        return f"{{{_abbreviate_items([f'{key}: {summarise_value(one)}' for key, one in value.items()])}}}"
-    if isinstance(value, list | tuple):
-        return f"({_abbreviate_items([summarise_value(one) for one in value])})"
-    if isinstance(value, Enum | float):
-        return str(value.value) if isinstance(value, Enum) else f"{value:.6g}"
-    text = " ".join(str(value).split())
-    if is_dataclass(value):
-        return text if len(text) <= BRIEF_WIDTH_CHARS / 2 else type(value).__name__
-    text = text if len(text) <= BRIEF_WIDTH_CHARS / 2 else f"{text[: BRIEF_WIDTH_CHARS // 2]}..."
-    return repr(text) if isinstance(value, str) else text
-
-
-def view(name: str) -> Callable[..., Any]:
-    """Return a function of ``getagrip.report.notebook``, a layer above all data, which is loaded when something is shown."""
-    return getattr(import_module("getagrip.report.notebook"), name)
-
-
-def _summarise_array(value: np.ndarray | PackedMasks) -> str:
-    """Write an array: few numbers as they are, a row of numbers by their range, else kind and shape."""
-    if isinstance(value, np.ndarray) and value.size <= MAX_BRIEF_ITEMS:
-        return np.array2string(value, precision=4, separator=", ")
-    if isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind == "f" and np.isfinite(value).any():
-        return f"{len(value)} of {np.nanmin(value):.4g} to {np.nanmax(value):.4g}"
-    return f"{value.dtype}{value.shape}".replace(" ", "")
-
-
-def _abbreviate_items(items: list[str]) -> str:
-    if len(items) <= MAX_BRIEF_ITEMS:
-        return ", ".join(items)
-    return f"{items[0]}, {items[1]}, ..., {items[-1]}; {len(items)} in all"
-
-
-ARRAY_KINDS: dict[object, tuple[str, type, str]] = {
-    Float: ("f", float, "floats"),
-    Int: ("iu", np.int64, "integers"),
-    Bool: ("b", bool, "booleans"),
-}
-"""Which of numpy's kinds each of jaxtyping's takes, what they are held as, and what errors call them."""
-
-
 class ArrayData(NamedFields, Brief):  # noqa: PLW1641 - not hashable, as arrays are not
-    """Base of frozen dataclasses, made with ``eq=False``, whose arrays have jaxtyping's shapes for annotations.
+    """Base of frozen dataclasses, declared with ``eq=False``, whose arrays are annotated with jaxtyping's shapes.
 
-    When one is made, numbers of another width are converted (float32 to float64). Any other type or shape raises
-    ``UsageError``, and so does another value than a clip, a mesh or others of ``named.KINDS`` where one is due; an axis
-    has one length in all fields that name it. Objects of one class are equal where all their fields hold the same
-    values, NaN equal to NaN. Like arrays, they cannot be hashed.
+    On creation, numbers of another width are converted (float32 to float64). Any other type or shape raises
+    ``UsageError``, as does a value that is not of its field's class in ``errors.ARGUMENT_TYPES``; an axis has one
+    length in all fields that name it. Objects of one class are equal if all fields hold the same values, NaN equal to
+    NaN. Like arrays, they cannot be hashed.
     """
 
     def __post_init__(self) -> None:
@@ -140,7 +77,7 @@ def equal_content(a: object, b: object) -> bool:
 
 
 def check_ids(name: str, ids: Int[ndarray, "..."], count: int) -> None:
-    """Raise ``UsageError`` for vertex ids of a mesh that has no such vertices."""
+    """Raise ``UsageError`` for vertex ids outside 0 to ``count`` - 1."""
     if ids.size and (ids.min() < 0 or ids.max() >= count):
         bad = ids.min() if ids.min() < 0 else ids.max()
         raise UsageError(f"{name} must be vertex ids from 0 to {count - 1} (got {bad})")
@@ -151,8 +88,7 @@ def as_array(
 ) -> Shaped[ndarray, "..."]:
     """Convert a field's value to an array of one of the ``ARRAY_KINDS`` with the given axes.
 
-    The ``lengths`` of axes are checked where they are known, and set where not. Raises ``UsageError`` in the name of
-    the field.
+    Known ``lengths`` of axes are checked, unknown ones are set. Raises ``UsageError`` in the name of the field.
     """
     numpy_kinds, dtype, called = ARRAY_KINDS[kind]
     known = [int(axis) if axis.isdecimal() else lengths.get(axis) for axis in axes]
@@ -180,7 +116,7 @@ def _field_kinds(data: type) -> dict[str, tuple[str, ...]]:
 
 @cache
 def _array_fields(data: type) -> list[tuple[str, object, tuple[str, ...]]]:
-    """Name, kind and axes of the fields of a dataclass that are arrays."""
+    """Return name, kind and axes of a dataclass's array fields."""
     hints = get_type_hints(data)
     found: list[tuple[str, object, tuple[str, ...]]] = []
     for field in fields(data):
@@ -189,3 +125,58 @@ def _array_fields(data: type) -> list[tuple[str, object, tuple[str, ...]]]:
             if isinstance(one, type) and issubclass(one, AbstractArray):
                 found.append((field.name, one.dtype, tuple(one.dim_str.split())))
     return found
+
+
+def summarise_dataclass(data: object) -> str:
+    """Write a dataclass in ``MAX_REPR_LINES`` lines: arrays by kind and shape, long collections by their ends."""
+    text = f"{type(data).__name__}({', '.join(f'{name}={text}' for name, text in summarise_fields(data).items())})"
+    return "\n".join(
+        wrap(text, MAX_REPR_LINE_CHARS, subsequent_indent="  ", max_lines=MAX_REPR_LINES, placeholder=" ...)")
+    )
+
+
+def summarise_fields(data: Any) -> dict[str, str]:
+    """Summarise each field of a dataclass that is neither None nor empty."""
+    values = {field.name: getattr(data, field.name) for field in fields(data)}
+    return {
+        name: summarise_value(value)
+        for name, value in values.items()
+        if (value if isinstance(value, str | list | tuple | Mapping) else value is not None)
+    }
+
+
+def summarise_value(value: object) -> str:
+    """Summarise a value in a few words."""
+    if isinstance(value, ndarray | PackedMasks):
+        return _summarise_array(value)
+    if isinstance(value, Mapping):
+        return f"{{{_abbreviate_items([f'{key}: {summarise_value(one)}' for key, one in value.items()])}}}"
+    if isinstance(value, list | tuple):
+        return f"({_abbreviate_items([summarise_value(one) for one in value])})"
+    if isinstance(value, Enum | float):
+        return str(value.value) if isinstance(value, Enum) else f"{value:.6g}"
+    text, most = " ".join(str(value).split()), MAX_REPR_LINE_CHARS // 2
+    if is_dataclass(value):
+        return text if len(text) <= most else type(value).__name__
+    text = text if len(text) <= most else f"{text[:most]}..."
+    return repr(text) if isinstance(value, str) else text
+
+
+def view(name: str) -> Callable[..., Any]:
+    """Return a function of ``getagrip.report.notebook``, a higher layer that is imported only for display."""
+    return getattr(import_module("getagrip.report.notebook"), name)
+
+
+def _summarise_array(value: ndarray | PackedMasks) -> str:
+    """Summarise an array: a few numbers in full, a row of numbers by its range, else kind and shape."""
+    if isinstance(value, ndarray) and value.size <= MAX_REPR_ITEMS:
+        return np.array2string(value, precision=4, separator=", ")
+    if isinstance(value, ndarray) and value.ndim == 1 and value.dtype.kind == "f" and np.isfinite(value).any():
+        return f"{len(value)} of {np.nanmin(value):.4g} to {np.nanmax(value):.4g}"
+    return f"{value.dtype}{value.shape}".replace(" ", "")
+
+
+def _abbreviate_items(items: list[str]) -> str:
+    if len(items) <= MAX_REPR_ITEMS:
+        return ", ".join(items)
+    return f"{items[0]}, {items[1]}, ..., {items[-1]}; {len(items)} in all"

@@ -1,8 +1,6 @@
-"""Arrays of untrusted ``.npz`` files, checked. No pickle is ever run; sizes are checked before memory is taken.
+"""Arrays of untrusted ``.npz`` files and zip archives, read within limits and checked.
 
-Untrusted zip archives: neither listing their members nor unpacking these takes more memory than it should.
-
-Numbers of strangers' files: what they make numpy warn of, and Python raise, is an error that names the file.
+No pickle is ever run, and sizes are checked before memory is taken.
 """
 
 from __future__ import annotations
@@ -25,15 +23,23 @@ from getagrip.io import files, plugins
 
 MAX_ARCHIVE_MEMBERS = 100_000
 ZIP_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-"""Compressions whose decompressors can be limited: 1 kB of the others may be gigabytes at once."""
+"""Compressions with a decompressor that can be limited: with others, 1 kB may unpack to gigabytes at once."""
 ZIP_ENTRY_MAGIC = b"PK\x01\x02"
-"""Begins each entry of an archive's list."""
+"""Start of each entry of an archive's directory."""
 ZIP_SEARCH_BYTES = 2**20
-"""Bytes of an archive that are searched at once."""
+"""Bytes of an archive searched at once."""
+MAX_NPZ_BYTES = 2**29
+"""Limit of a file's unpacked arrays together, and of each array converted to 8 bytes a number."""
+MAX_LIST_DEPTH = 8
+"""Levels of nested lists of numbers."""
+MAX_NAME_CHARS = 1000
+"""Length of a name in a list: in an array, every name takes as much memory as the longest."""
+MAX_ARRAY_NAMES = 2**20
+"""Texts or frame numbers in an array: as Python objects, each takes many times the memory."""
 
 
 def open_archive_bytes(path: Path | str, content: bytes) -> zipfile.ZipFile:
-    """Open an archive in memory. Raises ``InputError`` for too many members, and what ``zipfile`` raises."""
+    """Open an archive in memory. Raises ``InputError`` for too many members, and any error of ``zipfile``."""
     return _open_checked_archive(path, io.BytesIO(content))
 
 
@@ -45,51 +51,37 @@ def open_archive_file(path: Path) -> Iterator[zipfile.ZipFile]:
 
 
 def _open_checked_archive(path: Path | str, stream: BinaryIO) -> zipfile.ZipFile:
-    """Open the archive unless it has too many members: ``zipfile`` keeps all of them in memory."""
+    """Open an archive unless it has too many members: ``zipfile`` keeps all of them in memory."""
     entries, end = 0, b""
     while piece := stream.read(ZIP_SEARCH_BYTES):
         entries += (end + piece).count(ZIP_ENTRY_MAGIC)
         end = piece[1 - len(ZIP_ENTRY_MAGIC) :]
         if entries > MAX_ARCHIVE_MEMBERS:
-            raise InputError(
-                path, "", f"an archive of more than {MAX_ARCHIVE_MEMBERS} members", f"at most {MAX_ARCHIVE_MEMBERS}"
-            )
+            got = f"an archive of more than {MAX_ARCHIVE_MEMBERS} members"
+            raise InputError(path, "", got, f"at most {MAX_ARCHIVE_MEMBERS}")
     return zipfile.ZipFile(stream)
 
 
-def open_archive_member(of: zipfile.ZipFile, member: zipfile.ZipInfo) -> IO[bytes]:
-    """Open a member, to be read piece by piece. Raises what ``zipfile`` raises."""
+def open_archive_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> IO[bytes]:
+    """Open a member as a stream. Raises any error of ``zipfile``."""
     if member.compress_type not in ZIP_COMPRESSIONS:
         raise NotImplementedError(f"{member.filename!r} is packed in another way than by deflate")
-    return of.open(member)
+    return archive.open(member)
 
 
-def read_archive_member(of: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """Read a member: as many bytes as the archive says, their checksum verified.
+def read_archive_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """Read a member up to its stated size, its checksum verified. Raises any error of ``zipfile``.
 
-    Raises what ``zipfile`` raises.
-
-    ``ZipFile.read`` unpacks up to 1 GB before it looks at how many there should be.
+    ``ZipFile.read`` would unpack up to 1 GB before it compares the size.
     """
-    with open_archive_member(of, member) as stream:
+    with open_archive_member(archive, member) as stream:
         return stream.read(member.file_size)
 
 
-MAX_NPZ_BYTES = 2**29
-"""Limit in bytes of the arrays of one file, unpacked, and of each once its numbers have 8 bytes, as here."""
-MAX_LIST_DEPTH = 8
-"""Lists within lists of numbers."""
-MAX_NAME_CHARS = 1000
-"""Characters of a name in a list: as an array, all take as much as the longest."""
-MAX_ARRAY_NAMES = 2**20
-"""Texts, and numbers of frames, of an array: as Python's own, each takes many times as much."""
-
-
 def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray, "..."]]:
-    """Read the wanted arrays of an ``.npz`` file; others stay unread.
+    """Read the arrays of an ``.npz`` file whose names are ``wanted``.
 
-    Raises ``InputError`` for damaged files, for arrays of Python objects, and for files that unpack to more than
-    ``MAX_NPZ_BYTES`` bytes.
+    Raises ``InputError`` for damaged files, arrays of Python objects, and more than ``MAX_NPZ_BYTES`` unpacked.
     """
     content = files.read_bytes(path)
     out: dict[str, ndarray] = {}
@@ -108,18 +100,18 @@ def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray,
                     raise InputError(path, key, f"{array.size} texts", f"at most {MAX_ARRAY_NAMES}")
     except InputError:
         raise
-    except Exception as error:  # zipfile and its decompressors raise whatever they meet
+    except Exception as error:  # zipfile and its decompressors raise many types
         raise InputError(path, "", f"a file that does not unpack ({error})", "an .npz file") from error
     return out
 
 
 def parse_npy(path: Path, key: str, content: bytes) -> Shaped[ndarray, "..."]:
-    """Parse the bytes of an ``.npy`` file, whose header may lie about its size. Raises ``InputError``."""
+    """Parse the bytes of an ``.npy`` file, also one with a forged header. Raises ``InputError``."""
     stream = io.BytesIO(content)
     headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     try:
         shape, fortran, dtype = headers[np.lib.format.read_magic(stream)](stream)
-    except Exception as error:  # the header is a Python literal: its parser raises many things
+    except Exception as error:  # the header is a Python literal: its parser raises many types
         raise InputError(path, key, f"an array whose header does not parse ({error})", "a .npy array") from error
     if dtype.hasobject:
         raise InputError(path, key, "an array of Python objects", "an array of numbers")
@@ -133,10 +125,10 @@ def parse_npy(path: Path, key: str, content: bytes) -> Shaped[ndarray, "..."]:
 
 
 def from_lists(value: object) -> Shaped[ndarray, "..."] | None:
-    """Convert nested lists of numbers, as JSON and pickles have them, to an array; arrays stay as they are.
+    """Convert nested lists of numbers, as in JSON and pickles, to an array; arrays stay unchanged.
 
-    None for anything else, rows of different lengths included. Every item is looked at before memory is taken: numpy
-    would make a text of each where one is a text, all of them as long as the longest. Arrays in lists count in full.
+    None for anything else, rows of different lengths included. Every item is checked before memory is taken: numpy
+    would convert all items to texts of the longest's length if one is a text. Arrays in lists count in full.
     """
     if isinstance(value, ndarray):
         return value
@@ -158,26 +150,21 @@ def from_lists(value: object) -> Shaped[ndarray, "..."] | None:
 
 
 def array_from_names(value: object) -> Shaped[ndarray, "n"] | None:
-    """Convert a list of short names or of whole numbers from 0 on, or an array, to an array.
+    """Convert a list or array of short names, or of whole numbers from 0 on, to an array.
 
-    None for anything else.
-
-    None also for more than ``MAX_ARRAY_NAMES``.
+    None for anything else, and for more than ``MAX_ARRAY_NAMES``.
     """
     if isinstance(value, list):
         value = np.array(value) if all(map(_is_name, value)) else None
-    if (
-        not isinstance(value, ndarray)
-        or value.ndim != 1
-        or value.dtype.kind not in "Uiu"
-        or len(value) > MAX_ARRAY_NAMES
-    ):
+    if not isinstance(value, ndarray) or value.ndim != 1 or value.dtype.kind not in "Uiu":
+        return None
+    if len(value) > MAX_ARRAY_NAMES:
         return None
     if value.dtype.kind == "i" and value.size and value.min() < 0:
         return None
     try:
         value.tolist()
-    except ValueError:  # code points that do not exist
+    except ValueError:  # invalid code points
         return None
     return value
 
@@ -189,7 +176,7 @@ def _is_name(value: object) -> bool:
 def floats(
     path: Path, arrays: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str = "f"
 ) -> Float[ndarray, "..."]:
-    """Check that an array is finite and has the given shape, with -1 for any length above 0."""
+    """Return a finite array of ``shape``, -1 for any length > 0, as 64-bit floats. Raises ``InputError``."""
     array = _check_shaped(path, arrays, key, shape, kinds, "floating-point numbers")
     with np.errstate(over="ignore"):
         array = array.astype(float)
@@ -204,7 +191,7 @@ def floats(
 def indices(
     path: Path, arrays: dict[str, ndarray], key: str, vertices: int, shape: tuple[int, ...]
 ) -> Int[ndarray, "..."]:
-    """Check that an array holds vertex indices."""
+    """Return an array of vertex ids of ``shape``, -1 for any length > 0. Raises ``InputError``."""
     array = _check_shaped(path, arrays, key, shape, "iu", "integers")
     if array.min() < 0 or array.max() >= vertices:
         bad = array.min() if array.min() < 0 else array.max()
@@ -213,7 +200,7 @@ def indices(
 
 
 def frame_numbers(path: Path, arrays: dict[str, ndarray]) -> tuple[int, ...] | None:
-    """Read the frame numbers of a hand file, each once; None where it has no ``frames``."""
+    """Return the frame numbers of a hand file, each unique; None without ``frames``. Raises ``InputError``."""
     if "frames" not in arrays:
         return None
     array = arrays["frames"]
@@ -231,7 +218,7 @@ def frame_numbers(path: Path, arrays: dict[str, ndarray]) -> tuple[int, ...] | N
 def _check_shaped(
     path: Path, arrays: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str, what: str
 ) -> Shaped[ndarray, "..."]:
-    """Check that an array is there, of the expected kind and shape, and not too large at 8 bytes a number."""
+    """Return an array of the expected kind and shape, not too large at 8 bytes a number. Raises ``InputError``."""
     if key not in arrays:
         raise InputError(path, key, "no such array", f"an array of {what}")
     array = arrays[key]
@@ -253,7 +240,7 @@ def write(path: Path, content: dict[str, Shaped[ndarray, "..."]]) -> None:
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w") as archive:
         for key, array in content.items():
-            member = zipfile.ZipInfo(f"{key}.npy")  # dated 1980, not today
+            member = zipfile.ZipInfo(f"{key}.npy")  # dated 1980
             member.compress_type = zipfile.ZIP_DEFLATED
             with archive.open(member, "w", force_zip64=True) as stream:
                 np.lib.format.write_array(stream, array, allow_pickle=False)
@@ -262,7 +249,7 @@ def write(path: Path, content: dict[str, Shaped[ndarray, "..."]]) -> None:
 
 @contextmanager
 def convert_to_input_errors(path: Path) -> Iterator[None]:
-    """Turn warnings of numpy, and all errors but those of files, into ``InputError``: what a file holds causes them."""
+    """Turn numpy's warnings, and all errors except ``OSError``, into ``InputError``: a file's content causes them."""
     try:
         with warnings.catch_warnings(), plugins.convert_base_exceptions():
             for warning in (RuntimeWarning, np.exceptions.ComplexWarning):
@@ -272,6 +259,5 @@ def convert_to_input_errors(path: Path) -> Iterator[None]:
         raise
     except Exception as error:
         kind = "" if isinstance(error, Warning) else f"{type(error).__name__}: "
-        raise InputError(
-            path, "", f"content that cannot be right ({kind}{error})", "as its program writes it"
-        ) from error
+        got = f"content that cannot be right ({kind}{error})"
+        raise InputError(path, "", got, "as its program writes it") from error

@@ -1,16 +1,11 @@
-"""Untrusted files, read within limits; folders written whole or not at all.
+"""Untrusted files, read within limits; files and folders written whole or not at all; locks; SQLite files.
 
-Nothing here trusts what a file says about itself: sizes are checked before memory is taken, no pickle is ever run, and
-names found in files are used as paths only once they are known to stay inside their folder.
-
-Locks on files and folders. The kernel drops a lock with the process that holds it, however that ends.
-
-Folders in which something is written before it takes its place, and what remains of them when a writer is killed.
-
-A writer holds a lock on its folder as long as it lives, so a folder whose lock can be had is nobody's. Where there are
-no locks, nothing is swept; where a file system has none, a folder looks alive to nobody.
-
-SQLite files of ours, opened only once it is known that they are ours: folders of strangers may hold other files.
+- Reading: no file is trusted. Sizes are checked before memory is taken, no pickle is ever run, and a name found in a
+  file is used as a path only after a check that it stays inside its folder.
+- Writing: a folder is written in a hidden workplace beside its target, then renamed. The writer locks the workplace,
+  and the kernel drops the lock however the process ends: a workplace that can be locked is abandoned, and is swept.
+  Without ``fcntl`` nothing is swept; on a file system without locks, every workplace counts as abandoned.
+- SQLite: a database is opened only if its header names our application.
 """
 
 from __future__ import annotations
@@ -45,12 +40,12 @@ except ImportError:  # no POSIX: nothing is locked
     fcntl = None  # type: ignore[assignment]
 
 HAS_FILE_LOCKS = fcntl is not None
-"""True if this system has locks."""
+"""True if this system supports file locks."""
 
 
 @contextmanager
 def hold_lock(path: Path) -> Iterator[None]:
-    """Hold the lock of a file or folder, after waiting for it; go on without where it cannot be locked."""
+    """Wait for and hold the lock of a file or folder; continue without it if locks are unsupported."""
     lock = acquire_lock(path, wait=True)
     try:
         yield
@@ -59,9 +54,9 @@ def hold_lock(path: Path) -> Iterator[None]:
 
 
 def acquire_lock(path: Path, wait: bool) -> int | None:
-    """Lock a file or folder until the descriptor is closed; None where it cannot be locked.
+    """Lock a file or folder and return a descriptor that holds the lock; None if locks are unsupported.
 
-    Raises ``OSError`` where it is not there, and where it is locked already and we do not ``wait``.
+    Raises ``OSError`` if the path is missing, or if it is locked already and ``wait`` is False.
     """
     if fcntl is None:
         return None
@@ -77,18 +72,18 @@ def acquire_lock(path: Path, wait: bool) -> int | None:
 
 
 def release_lock(lock: int | None) -> None:
-    """Give back what ``acquire_lock`` has returned."""
+    """Close the descriptor returned by ``acquire_lock``."""
     if lock is not None:
         os.close(lock)
 
 
 TEMPORARY_FOLDER_PREFIX = ".getagrip.new."
-"""Prefix of the folders' names."""
+"""Prefix of the workplaces' names."""
 
 
 @contextmanager
 def temporary_folder(parent: Path) -> Iterator[Path]:
-    """Make an empty hidden folder, which is removed in the end."""
+    """Make an empty hidden folder, locked, and remove it when the block ends."""
     while True:
         folder = Path(tempfile.mkdtemp(prefix=TEMPORARY_FOLDER_PREFIX, dir=parent))
         with suppress(FileNotFoundError):  # swept before it was locked
@@ -104,8 +99,8 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
 
 
 def restore(folder: Path) -> None:
-    """Put what stands in ``old/`` of a workplace back where it was, unless something newer has taken its place."""
-    if (folder / "old").is_symlink():  # a stranger's: what it leads to stays where it is
+    """Move the folder in ``old/`` of a workplace back beside the workplace, unless a newer one has its name."""
+    if (folder / "old").is_symlink():  # not ours: its target is left alone
         return
     for old in (folder / "old").glob("*"):
         target = folder.parent / old.name
@@ -114,7 +109,7 @@ def restore(folder: Path) -> None:
 
 
 def remove_stale_folders(parent: Path) -> list[Path]:
-    """Remove this user's workplaces whose writers are dead, and return them; restore folders being replaced."""
+    """Remove this user's abandoned workplaces, and return them; restore the folders that were being replaced."""
     swept = []
     for folder in parent.glob(f"{TEMPORARY_FOLDER_PREFIX}*") if HAS_FILE_LOCKS else ():
         if folder.is_symlink() or not folder.is_dir():
@@ -123,7 +118,7 @@ def remove_stale_folders(parent: Path) -> list[Path]:
             if folder.stat().st_uid != os.geteuid():
                 continue
             lock = acquire_lock(folder, wait=False)
-        except OSError:  # it lives, or is another user's, or gone
+        except OSError:  # locked by a live writer, another user's, or gone
             continue
         try:
             restore(folder)
@@ -135,21 +130,19 @@ def remove_stale_folders(parent: Path) -> list[Path]:
 
 
 Json = dict[str, Any]
-"""A JSON object: whoever reads one checks its values."""
+"""A JSON object; its reader checks the values."""
 MAX_JSON_BYTES = 64 * 2**20
 MAX_FILE_BYTES = 2**30
-"""Limits in bytes."""
 BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"), (codecs.BOM_UTF8, "utf-8"),
     (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
 )  # fmt: skip
-"""How texts begin that say how they are encoded."""
+"""Byte order marks of texts, and the encodings that they state."""
 FORBIDDEN_NAME_CHARS = {*"/\\"} | ({*'<>:"|?*'} if os.name == "nt" else set())
-"""Letters of no name here."""
 WINDOWS_DEVICE_NAME = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(\..*)?$", re.IGNORECASE)
 """Names that Windows opens as devices, in every folder and with any suffix."""
 UNNAMED_WRITE_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
-"""Errors of writing that come without a file's name."""
+"""Write errors that Python raises without the file's name."""
 
 
 def shorten_value(value: object) -> str:
@@ -166,29 +159,30 @@ def printable(text: str) -> str:
 def is_portable_name(name: str) -> bool:
     """Return whether a text can name a file or folder.
 
-    It must be printable, of 1 to 200 bytes, without separators, not hidden and not ``..``. So that a folder can be
-    moved to Windows, it is none of the names of devices there and ends in no dot.
+    It must be printable, of 1 to 200 bytes, without separators, not hidden and not ``..``. Windows' device names and a
+    dot at the end are refused everywhere, so that folders can be moved to Windows.
     """
-    plain = (
-        name.isprintable()
-        and name == name.strip()
+    plain = name.isprintable() and name == name.strip() and not FORBIDDEN_NAME_CHARS & {*name}
+    return (
+        plain
         and not name.startswith((".", "~"))
-        and not FORBIDDEN_NAME_CHARS & {*name}
+        and not name.endswith(".")
+        and not WINDOWS_DEVICE_NAME.match(name)
+        and 0 < len(name.encode()) <= 200
     )
-    return plain and not name.endswith(".") and not WINDOWS_DEVICE_NAME.match(name) and 0 < len(name.encode()) <= 200
 
 
 def list_files(folder: Path, suffixes: Collection[str] = (), pattern: str = "*") -> list[Path]:
-    """List the files in a folder that end in one of some ``suffixes``, in any case, by name.
+    """List the files in a folder with one of some lower-case ``suffixes``, in either case; all files without any.
 
-    Files that begin with a dot are no content: other systems leave them beside each file, as ``._000001.jpg``.
+    Files that begin with a dot are left out: macOS adds one beside each file, such as ``._000001.jpg``.
     """
     found = (path for path in folder.glob(pattern) if not path.name.startswith("."))
     return sorted(path for path in found if path.is_file() and (not suffixes or path.suffix.lower() in suffixes))
 
 
 def folders_in(folder: Path) -> list[Path]:
-    """List the folders in a folder, by name; but those that begin with a dot."""
+    """List the folders in a folder, by name, except for hidden ones."""
     inside = folder.iterdir() if folder.is_dir() else ()
     return sorted(path for path in inside if path.is_dir() and not path.name.startswith("."))
 
@@ -196,7 +190,7 @@ def folders_in(folder: Path) -> list[Path]:
 def inside(folder: Path, relative: str, key: str, what: str, source: Path | None = None) -> Path:
     """Return the file ``folder/relative``, which must exist and lie in the folder, links followed.
 
-    Raises ``InputError``, in the name of the file ``source`` where the path was read from one.
+    Raises ``InputError`` about ``key`` of the file ``source`` from which the path was read, if any.
     """
     named = source or folder / relative
     parts = PurePosixPath(relative)
@@ -209,9 +203,8 @@ def inside(folder: Path, relative: str, key: str, what: str, source: Path | None
     except OSError as error:  # names that are too long, no permission
         raise InputError(named, key, f"the path {shorten_value(relative)} ({error.strerror})", what) from error
     if leaves:
-        raise InputError(
-            named, key, f"the path {shorten_value(relative)}, which leads out", f"{what} inside the folder"
-        )
+        got = f"the path {shorten_value(relative)}, which leads out"
+        raise InputError(named, key, got, f"{what} inside the folder")
     if not there:
         raise InputError(path, "" if source is None else key, "no such file", what)
     return path
@@ -231,7 +224,7 @@ def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
 
 
 def strip_byte_order_mark(content: bytes) -> bytes:
-    """Return a text in UTF-8 without the mark that says how it is encoded, as Windows writes it: also from UTF-16."""
+    """Return a text in UTF-8 without its byte order mark, which may state UTF-16 or UTF-32, as on Windows."""
     for mark, encoding in BYTE_ORDER_MARKS:
         if content.startswith(mark):
             return content[len(mark) :] if encoding == "utf-8" else content.decode(encoding, "replace").encode()
@@ -239,7 +232,7 @@ def strip_byte_order_mark(content: bytes) -> bytes:
 
 
 def read_text(path: Path, limit: int = MAX_FILE_BYTES) -> str:
-    """Read a text of at most ``limit`` bytes, encoded as its mark says, else in UTF-8. Raises ``InputError``."""
+    """Read a text of at most ``limit`` bytes, in UTF-8 unless a byte order mark differs. Raises ``InputError``."""
     return strip_byte_order_mark(read_bytes(path, limit)).decode(errors="replace")
 
 
@@ -252,9 +245,9 @@ def read_json(path: Path) -> Json:
 
 
 def read_any_json(path: Path, *, nan: bool = False) -> object:
-    """Read a JSON file. Raises ``InputError``, also for duplicate keys and for infinite numbers and, but ``nan``, NaN.
+    """Read a JSON file. Raises ``InputError``, also for duplicate keys, infinity and, unless ``nan``, NaN.
 
-    Python writes NaN for numbers that are missing.
+    Python writes NaN for missing numbers.
     """
 
     def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
@@ -282,15 +275,15 @@ def read_any_json(path: Path, *, nan: bool = False) -> object:
 
 
 def write_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
-    """Write a table, its headings first. Whoever reads the file meanwhile sees the old one or the new one."""
+    """Write a table, headings first, whole or not at all."""
     with new_text(path) as stream:
         CsvTable(stream).write_rows(rows)
 
 
 def csv_rows(path: Path, content: bytes, what: str) -> tuple[list[str], list[tuple[str, dict[str, str]]]]:
-    """Read a CSV table: its heads, and its rows by head, each with the words that begin its key: "line 7, ".
+    """Read a CSV table: its headings, and its cells by heading for each row, with its place for errors, "line 7, ".
 
-    ``what`` the file should be, in words. Raises ``InputError`` for what is no CSV in UTF-8, and for ragged rows.
+    ``what`` names the expected file. Raises ``InputError`` for invalid CSV or UTF-8, and for ragged rows.
     """
     try:
         lines = csv.reader(io.StringIO(strip_byte_order_mark(content).decode(), newline=""), strict=True)
@@ -322,26 +315,22 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text as it is, in UTF-8, likewise."""
+    """Write a text in UTF-8, its line ends unchanged, as ``write_bytes`` does."""
     write_bytes(path, text.encode())
 
 
 def write_json(path: Path, content: Mapping[str, object] | Sequence[object]) -> None:
-    """Write a JSON object or list, its folder made where there is none.
-
-    Arrays become lists, numbers that are not finite become null.
-    """
+    """Write a JSON object or list as ``to_json`` does; its folder is made if missing."""
     write_bytes(path, (to_json(content) + "\n").encode())
 
 
 def to_json(content: Mapping[str, object] | Sequence[object]) -> str:
-    """Write a JSON object or list as a text, as ``write_json`` does into a file."""
+    """Convert a JSON object or list to text: arrays become lists, NaN and infinity null."""
     return replace_surrogates(json.dumps(_to_json_types(content), indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def _to_json_types(value: object) -> object:
-    """Convert content to JSON's own types."""
-    if hasattr(value, "tolist"):  # numpy's, which need not be loaded here
+    if hasattr(value, "tolist"):  # numpy's types, without importing numpy
         value = value.tolist()
     if isinstance(value, Mapping):
         return {str(key): _to_json_types(item) for key, item in value.items()}
@@ -355,22 +344,17 @@ def _to_json_types(value: object) -> object:
 
 
 def check_folder(option: str, folder: Path) -> None:
-    """Raise ``UsageError``, in the name of an option, where a folder cannot be made or written; leaves no trace."""
+    """Raise ``UsageError``, in the name of an option, if a folder cannot be made or written; leave no trace."""
     try:
-        there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-        os.rmdir(
-            tempfile.mkdtemp(prefix=".getagrip.", dir=there)
-        )  # permissions alone are not enough: /proc, full disks
+        parent = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        os.rmdir(tempfile.mkdtemp(prefix=".getagrip.", dir=parent))  # permissions do not show /proc and full disks
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise UsageError(f"{option} must be a folder that can be written (got {folder}: {reason})") from error
 
 
 def check_file(option: str, file: Path) -> None:
-    """Raise ``UsageError``, in the name of an option, where a file cannot be written; leaves no trace.
-
-    Its folder need not be there yet: whoever writes the file makes it.
-    """
+    """Raise ``UsageError``, in the name of an option, if a file or its folder cannot be written; leave no trace."""
     check_folder(option, file.parent)
     try:
         if file.exists() and not file.is_symlink():  # a link is replaced
@@ -381,15 +365,15 @@ def check_file(option: str, file: Path) -> None:
 
 
 def refuse_link(path: Path) -> None:
-    """Raise ``UsageError`` where a folder in which something is to be written is a link."""
+    """Raise ``UsageError`` if a folder to write into is a link."""
     if path.is_symlink():
         raise UsageError(f"{path} must be a folder or a free name (got a link, and nothing is written through one)")
 
 
 def folder_inside(folder: Path, *names: str) -> Path:
-    """Return a folder in another, each of ``names`` in the one before, made where there is none.
+    """Return a folder nested in another, ``folder/name/name/...``, made if missing.
 
-    ``folder`` itself may be a link: the user names it. Raises ``UsageError`` where a name is that of a link.
+    ``folder`` itself may be a link, since the user names it. Raises ``UsageError`` if a folder below it is a link.
     """
     for name in names:
         folder /= name
@@ -400,11 +384,11 @@ def folder_inside(folder: Path, *names: str) -> Path:
 
 @contextmanager
 def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
-    """Make a folder beside ``target`` that takes its name when the block ends well, and is removed if not.
+    """Make a folder beside ``target`` that takes its name when the block succeeds, and is removed if it fails.
 
-    An older folder is replaced only where it holds all that ``replace`` names: files that every such folder holds, and
-    none that was named by mistake. Raises ``UsageError`` for another. An ``OSError`` of the block about a file in the
-    folder names it by the path that it was to have. What a killed process leaves, ``leftovers.sweep`` removes.
+    An older folder is replaced only if it contains all files in ``replace``, which identify its kind; else raises
+    ``UsageError``. An ``OSError`` of the block about a file in the new folder names the file by its final path.
+    ``remove_stale_folders`` removes the remains of a killed process.
     """
     refuse_link(target)
     missing = [f" without {name!r} in it" for name in replace if not (target / name).exists()]
@@ -427,10 +411,10 @@ def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
 
 @contextmanager
 def new_file(target: Path) -> Iterator[Path]:
-    """Give a path beside ``target`` whose file takes its place when the block ends well, and is removed if not.
+    """Give a path beside ``target`` whose file takes its name when the block succeeds, and is removed if it fails.
 
-    The folder is made where there is none. An ``OSError`` of the block about the file names it ``target``. A link of
-    that name is replaced, not followed; the new file has a random name, where nobody can have put a link.
+    The folder is made if missing. An ``OSError`` of the block about the file names it ``target``. A link named
+    ``target`` is replaced, not followed; the new file has a random name, which nobody can have made a link.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(f".{secrets.token_hex(8)}{target.suffix}")
@@ -445,20 +429,18 @@ def new_file(target: Path) -> Iterator[Path]:
 
 @contextmanager
 def new_text(target: Path) -> Iterator[TextIO]:
-    """Open a UTF-8 text stream that becomes a file as ``new_file`` does; line ends stay as written."""
+    """Open a UTF-8 text stream that becomes a file as in ``new_file``, its line ends unchanged."""
     with new_file(target) as part, part.open("w", encoding="utf-8", newline="") as stream:
         yield stream
 
 
 @contextmanager
 def _rename_in_errors(part: Path, target: Path) -> Iterator[None]:
-    """Give the files that an ``OSError`` is about the names that they were to have."""
+    """Name files by their final paths in an ``OSError``."""
     try:
         yield
     except OSError as error:
-        if (
-            error.filename is None and error.errno in UNNAMED_WRITE_ERRORS
-        ):  # Python and libraries do not say which file they wrote
+        if error.filename is None and error.errno in UNNAMED_WRITE_ERRORS:
             raise OSError(error.errno, error.strerror, str(target)) from error
         if isinstance(error.filename, str) and (file := Path(error.filename)).is_relative_to(part):
             error.filename = str(target / file.relative_to(part))
@@ -467,18 +449,18 @@ def _rename_in_errors(part: Path, target: Path) -> Iterator[None]:
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 APPLICATION_ID = slice(68, 72)
-"""Bytes at a file's start that say which application made it, as a big-endian number (SQLite's file format, 1.3)."""
+"""Place of the application id in the header, a big-endian number (SQLite's file format, 1.3)."""
 SQLITE_LOG_SUFFIXES = ("-journal", "-wal", "-shm")
-"""Suffixes of the files that SQLite writes beside a database."""
+"""Suffixes of SQLite's files beside a database."""
 
 
 def connect(
     path: Path, application: int, what: str, *, timeout: float, shared: bool = False, read_only: bool = False
 ) -> sqlite3.Connection:
-    """Open a database of an application, or a new file; nothing of another's is changed.
+    """Open a database of an application id, or a new file; another program's file stays unchanged.
 
     ``shared``: threads may share the connection. ``read_only``: nothing is changed or made. Raises ``InputError`` for
-    links and for files of something else, and ``sqlite3.Error``.
+    links and for other programs' files, and ``sqlite3.Error``.
     """
     for file in (path, *(path.with_name(path.name + end) for end in SQLITE_LOG_SUFFIXES)):
         if file.is_symlink() or (file.exists() and not file.is_file()):
@@ -486,7 +468,7 @@ def connect(
     if path.exists() and path.stat().st_size:
         with path.open("rb") as stream:
             head = stream.read(100)
-        # 0 is that of a file of ours whose first transaction is still beside it.
+        # 0: a file of ours whose first transaction is still in its log.
         if not head.startswith(SQLITE_MAGIC) or int.from_bytes(head[APPLICATION_ID], "big") not in (application, 0):
             raise InputError(path, "", "a file of another program", what)
     name = _read_only_uri(path) if read_only else path
@@ -506,7 +488,7 @@ def connect(
 
 
 def _read_only_uri(path: Path) -> str:
-    """Return an address that opens a file for reading only: SQLite would leave new files beside one without a log."""
+    """Return a URI for reading only; ``immutable`` keeps SQLite from adding files beside a database without a log."""
     log = path.with_name(f"{path.name}-wal")
     mode = "mode=ro" if log.exists() and log.stat().st_size else "immutable=1"
     return f"file:{quote(os.fsencode(path.absolute()))}?{mode}"

@@ -1,12 +1,8 @@
-"""Images as files: each written whole or with an error; read only where they have the size that they should have.
+"""Image and video files, read at their expected size and written whole or not at all; masks packed in memory.
 
-Sizes are checked before memory is taken, and damaged files are refused. Decoders return what there is of a file that is
-cut short or damaged. Pillow decodes PNG here: it can check every checksum first, and says how many bits a pixel has. Of
-a JPEG a scan of a few bytes may take as long as a whole image, so they are counted first.
-
-Videos as files (MP4, H.264), written whole or not at all.
-
-Masks of many frames in little memory: a bit for each pixel of the box around what is set.
+Sizes are checked before memory is taken, and damaged files are refused, though decoders return parts of them. Pillow
+decodes PNG: it can verify every checksum first, and states the bits per pixel. JPEG scans are counted first: one of a
+few bytes may take as long as a whole image.
 """
 
 from __future__ import annotations
@@ -29,41 +25,34 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from getagrip.errors import GetagripError, InputError
 from getagrip.io import files
-from getagrip.io.files import read_bytes
 
 if TYPE_CHECKING:
     from PIL.JpegImagePlugin import JpegImageFile
     from PIL.PngImagePlugin import PngImageFile
 
 WRITTEN_JPEG_QUALITY = 92
-"""Quality of JPEG images, of 100."""
+"""JPEG quality, up to 100."""
 MAX_JPEG_SCANS = 100
-"""Passes over an image: 1 to 4 of plain ones, about 10 of those that load step by step."""
+"""Passes over an image: 1 to 4 for sequential JPEGs, about 10 for progressive ones."""
 _JPEG_MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])", re.DOTALL)
-"""Start of a segment, wherever a decoder looks for one: in coded data, FF is followed by 00 or D0 to D7."""
+"""Start of a segment, as decoders search for it: in coded data, FF is followed by 00 or D0 to D7."""
 JPEG_SCAN_MARKER, JPEG_END_MARKER = 0xDA, 0xD9
 MAX_ENCODED_IMAGE_BYTES = 64 * 2**20
-"""Limit of a file in bytes."""
 PNG_END_CHUNK = b"\0\0\0\0IEND\xaeB`\x82"
 """The last chunk of every PNG."""
 PNG_COLOUR_NAMES = {
-    "1": "grey",
-    "L": "grey",
-    "I": "grey",
-    "P": "palette",
-    "LA": "grey and alpha",
-    "RGB": "RGB",
+    "1": "grey", "L": "grey", "I": "grey", "P": "palette", "LA": "grey and alpha", "RGB": "RGB",
     "RGBA": "RGB and alpha",
-}
-"""Pillow's names of a PNG's colours, and those in errors."""
+}  # fmt: skip
+"""Names of a PNG's colours in errors, by Pillow's."""
+H264_CRF = "20"
+"""H.264's constant rate factor: lower is better."""
 
 
 def read_image(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
-    """Read red, green and blue of a PNG or JPEG of the given (width, height).
+    """Read red, green and blue of a PNG or JPEG of the given (width, height) [px]. Raises ``InputError``.
 
-    Raises ``InputError``.
-
-    The decoder that says how large an image is also decodes it: of a crafted file others may see another size.
+    One decoder both reads the size and decodes: in a crafted file, another decoder may see another size.
     """
     if path.suffix.lower() == ".png":
         return read_colour_png(path, size)
@@ -72,13 +61,13 @@ def read_image(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
     content = files.read_bytes(path, MAX_ENCODED_IMAGE_BYTES)
     try:
         image = open_jpeg(path, "", content)
-        if size not in (image.size, image.size[::-1]):  # upright images may be stored on their side, with a note
+        if size not in (image.size, image.size[::-1]):  # Exif may state a rotation
             value, expected = (f"{width} x {height}" for width, height in (image.size, size))
             raise InputError(path, "size", f"{value} pixels", f"{expected}, the clip's size")
         upright = ImageOps.exif_transpose(image).convert("RGB")
     except InputError:
         raise
-    except Exception as error:  # Pillow raises whatever its parsers meet
+    except Exception as error:  # Pillow's parsers raise many types
         raise InputError(path, "", f"a damaged file, or no JPEG ({error})", "a whole JPEG file") from error
     if upright.size != size:
         raise InputError(path, "size", "an image on its side", f"one of {size[0]} x {size[1]} pixels")
@@ -88,7 +77,7 @@ def read_image(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
 def decode_image(path: Path, key: str, content: bytes, largest: int) -> UInt8[ndarray, "H W 3"]:
     """Decode red, green and blue of a JPEG or PNG in memory, of at most ``largest`` pixels a side, upright.
 
-    ``path`` and ``key`` are named in errors. Raises ``InputError``, for too large ones before memory is taken.
+    ``path`` and ``key`` are named in errors. Raises ``InputError``, for too large images before memory is taken.
     """
     from PIL import ImageOps
     from PIL.PngImagePlugin import PngImageFile
@@ -102,25 +91,19 @@ def decode_image(path: Path, key: str, content: bytes, largest: int) -> UInt8[nd
         return np.array(ImageOps.exif_transpose(image).convert("RGB"))
     except InputError:
         raise
-    except Exception as error:  # Pillow raises whatever its parsers meet
+    except Exception as error:  # Pillow's parsers raise many types
         raise InputError(path, key, f"an image that does not decode ({error})", "a JPEG or PNG image") from error
 
 
 def write_image(path: Path, image: UInt8[ndarray, "H W"] | UInt8[ndarray, "H W 3"]) -> None:
-    """Write a grey or RGB image as PNG or JPEG, by the suffix. Raises ``OSError``, as on a full disk.
-
-    ``cv2.imwrite`` only returns False then.
-    """
+    """Write a grey or RGB image as PNG or JPEG, by the suffix. Raises ``OSError``; ``cv2.imwrite`` returns False."""
     import cv2
 
     _encode_image(path, image, [cv2.IMWRITE_JPEG_QUALITY, WRITTEN_JPEG_QUALITY] if path.suffix == ".jpg" else [])
 
 
 def write_mask(path: Path, mask: Bool[ndarray, "H W"]) -> None:
-    """Write a mask as a grey PNG, 255 where it is set; without a filter, so that it is read in half the time.
-
-    Raises ``OSError``.
-    """
+    """Write a mask as a grey PNG of 0 and 255, unfiltered to halve the time of reading. Raises ``OSError``."""
     import cv2
 
     _encode_image(path, mask.astype(np.uint8) * 255, [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE])
@@ -146,9 +129,7 @@ def _encode_image(
 def open_jpeg(path: Path, key: str, content: bytes) -> JpegImageFile:
     """Open a JPEG without decoding it.
 
-    ``path`` and ``key`` are named in errors.
-
-    Raises ``InputError`` for too many scans, and whatever Pillow meets.
+    ``path`` and ``key`` are named in errors. Raises ``InputError`` for too many scans, and any error of Pillow.
     """
     from PIL.JpegImagePlugin import JpegImageFile
 
@@ -158,12 +139,12 @@ def open_jpeg(path: Path, key: str, content: bytes) -> JpegImageFile:
         if scans > MAX_JPEG_SCANS:
             raise InputError(path, f"{key} scans".strip(), f"more than {MAX_JPEG_SCANS}", f"at most {MAX_JPEG_SCANS}")
         length = int.from_bytes(content[marker.end() : marker.end() + 2], "big")
-        at = marker.end() + max(length, 2)  # as libjpeg goes on; of a scan, before its coded data
+        at = marker.end() + max(length, 2)  # as libjpeg continues; for a scan, at its coded data
     return JpegImageFile(io.BytesIO(content))
 
 
 def png_size(path: Path, most: int) -> tuple[int, int]:
-    """Return width and height as a PNG's head states them. Raises ``InputError`` above ``most`` pixels."""
+    """Read width and height [px] from a PNG's header. Raises ``InputError`` above ``most`` pixels."""
     if not path.is_file():
         raise InputError(path, "", "no such file", "a PNG file")
     with path.open("rb") as stream:
@@ -177,7 +158,7 @@ def png_size(path: Path, most: int) -> tuple[int, int]:
 
 
 def read_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:
-    """Read an 8-bit image of one channel and of the given (width, height). Raises ``InputError``."""
+    """Read an 8-bit image of one channel and of the given (width, height) [px]. Raises ``InputError``."""
     image, colours, bits = open_png(path, size)
     if (colours, bits) != ("grey", 8):
         raise InputError(path, "channels", f"{bits} bit {colours}", "8 bit, one channel (grey)")
@@ -185,26 +166,23 @@ def read_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:
 
 
 def read_colour_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
-    """Read red, green and blue of a PNG of the given (width, height), also of one with a palette.
-
-    Raises ``InputError``.
-    """
+    """Read red, green and blue of a PNG of the given (width, height) [px], palettes included. Raises ``InputError``."""
     image, colours, bits = open_png(path, size)
     if bits > 8:
         raise InputError(path, "channels", f"{bits} bit {colours}", "8 bit")
     if image.mode == "RGB":
         return np.array(image)
-    return np.ascontiguousarray(np.asarray(image.convert("RGBA"))[..., :3])  # by RGBA, palettes may be transparent
+    return np.ascontiguousarray(np.asarray(image.convert("RGBA"))[..., :3])  # palettes may be transparent
 
 
 def open_png(path: Path, size: tuple[int, int]) -> tuple[PngImageFile, str, int]:
-    """Read a PNG of the given (width, height); also return its kind of colours and the bits of each channel.
+    """Read a PNG of the given (width, height) [px]; also return its colours' name and the bits per channel.
 
     Raises ``InputError``.
     """
     from PIL.PngImagePlugin import PngImageFile
 
-    content = read_bytes(path, MAX_ENCODED_IMAGE_BYTES)
+    content = files.read_bytes(path, MAX_ENCODED_IMAGE_BYTES)
     try:
         stream = io.BytesIO(content)
         header = PngImageFile(stream)
@@ -212,29 +190,24 @@ def open_png(path: Path, size: tuple[int, int]) -> tuple[PngImageFile, str, int]
         if header.size != size:
             value, expected = (f"{width} x {height}" for width, height in (header.size, size))
             raise InputError(path, "size", f"{value} pixels", f"{expected}, the size of the images")
-        header.verify()  # up to the head of the last chunk
+        header.verify()  # stops after the last chunk's head
         if content[stream.tell() - 8 :] != PNG_END_CHUNK:
             raise InputError(path, "", "a PNG that does not end where it should", "a whole PNG file")
         image = PngImageFile(io.BytesIO(content))
         image.load()
     except InputError:
         raise
-    except Exception as error:  # Pillow raises whatever its parsers meet
+    except Exception as error:  # Pillow's parsers raise many types
         raise InputError(path, "", f"a damaged file, or no PNG ({error})", "a whole PNG file") from error
     return image, PNG_COLOUR_NAMES[colours], 1 if colours == "1" else int(bits.rstrip("B") or 8)
-
-
-H264_CRF = "20"
-"""H.264's constant rate factor: lower is better."""
 
 
 def write_video(
     path: Path, frames: Iterable[UInt8[ndarray, "H W 3"]], rate: Fraction, size: tuple[int, int], seek: bool = False
 ) -> None:
-    """Write RGB frames of one size, an even width and height [px].
+    """Write RGB frames of one size, an even width and height [px], as an MP4 video with H.264.
 
-    With ``seek``, every other frame can be decoded without those before it. Raises ``GetagripError`` where PyAV has no
-    encoder for H.264.
+    With ``seek``, every other frame decodes independently. Raises ``GetagripError`` if PyAV has no H.264 encoder.
     """
     import av
 
@@ -254,14 +227,14 @@ def write_video(
 
 @dataclass(frozen=True, eq=False)
 class PackedMask:
-    """The mask of one frame."""
+    """The mask of one frame, a bit per pixel of its bounding box."""
 
     size: tuple[int, int]
     """Height and width of the image [px]."""
     top: int
     left: int
     width: int
-    """Width of the box; its height follows from ``bits``."""
+    """Width of the box [px]; its height is that of ``bits``."""
     bits: UInt8[ndarray, "h _"]
 
     @staticmethod
@@ -278,7 +251,7 @@ class PackedMask:
 
 @lru_cache(maxsize=4)
 def _unpacked(frame: PackedMask) -> Bool[ndarray, "H W"]:
-    """Unpack the mask, read-only, since it is kept for the next call."""
+    """Unpack a mask, read-only because cached."""
     out = np.zeros(frame.size, dtype=bool)
     if frame.width:
         box = np.unpackbits(frame.bits, axis=1, count=frame.width).view(bool)
@@ -288,10 +261,10 @@ def _unpacked(frame: PackedMask) -> Bool[ndarray, "H W"]:
 
 
 class PackedMasks(NDArrayOperatorsMixin):
-    """Stands for a (T, H, W) array of booleans that is not to be written to.
+    """A read-only (T, H, W) array of booleans, packed.
 
-    Frames are unpacked when they are asked for by number, or one after the other; some of the frames are packed, too.
-    All else that arrays can do is done with the whole array, in as much memory.
+    A frame is unpacked on access by its number or by iteration; a slice of frames stays packed. All other operations of
+    arrays unpack everything, in as much memory.
     """
 
     dtype = np.dtype(bool)
@@ -303,11 +276,11 @@ class PackedMasks(NDArrayOperatorsMixin):
 
     @staticmethod
     def of(masks: Iterable[Bool[ndarray, "H W"]], size: tuple[int, int]) -> PackedMasks:
-        """Pack masks that may be made one by one. ``size``: width and height [px]."""
+        """Pack masks, which an iterator may make one by one. ``size``: width and height [px]."""
         return PackedMasks([PackedMask.of(mask) for mask in masks], (size[1], size[0]))
 
     def as_array(self) -> Bool[ndarray, "T H W"]:
-        """Return itself, under the type of what it stands for."""
+        """Return the object itself, typed as an array."""
         return cast(ndarray, self)
 
     @property
@@ -338,7 +311,7 @@ class PackedMasks(NDArrayOperatorsMixin):
 
     @cached_property
     def _shown(self) -> Bool[ndarray, "T"]:
-        """Frames with a pixel."""
+        """True for frames with a set pixel."""
         return np.array([frame.width > 0 for frame in self._frames], dtype=bool)
 
     def __array__(self, dtype: np.dtype | None = None, copy: bool | None = None) -> ndarray:

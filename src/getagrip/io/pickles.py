@@ -1,18 +1,13 @@
-"""Pickled dictionaries of arrays, read without running what is in them.
+"""Dictionaries of arrays in untrusted pickles, read within bounds and without running any code in them.
 
-A pickle is a program for a stack machine. This one has only the instructions that build data.
+A pickle is a program for a stack machine; the machine here has only the instructions that build data. Python's
+unpickler calls the functions that a file names. Here a name is text on the stack, and the instructions that call a
+function or set an object's state pass both to ``StandIns``. Persistent ids, extension codes, classes of protocol 0 and
+out-of-band buffers are refused.
 
-Python's own unpickler calls what a file names. Here a name is no more than text on the stack, and the instructions that
-call something, or set its state, hand both over to stand-ins (``pickles.stand_ins``). Persistent ids, extension codes,
-the classes of protocol 0 and buffers kept elsewhere are refused.
-
-Stand-ins for the names in a pickle of arrays: numpy's builders, spelt out so that numpy's own are never called.
-
-Numpy's ``dtype``, ``ndarray`` and ``scalar`` trust the state that a pickle gives them: a forged one turns plain bytes
-into pointers. Here a type is one of plain numbers or text, its byte order is all that can be set, and an array has
-exactly as many bytes as its shape and type take.
-
-Dictionaries of arrays out of untrusted pickles, within bounds.
+Stand-ins replace numpy's builders. Numpy's ``dtype``, ``ndarray`` and ``scalar`` trust a pickle's state: a forged one
+turns plain bytes into pointers. Here a type is one of plain numbers or text, of which only the byte order can be set,
+and an array has exactly the bytes that its shape and type need.
 """
 
 from __future__ import annotations
@@ -36,15 +31,15 @@ from getagrip.errors import InputError
 from getagrip.io.files import printable, read_bytes, shorten_value
 
 MAX_PICKLE_INSTRUCTIONS = 2**22
-"""Each takes one byte or more of a file, and up to 224 bytes of memory: those of an empty set."""
+"""An instruction has at least one byte in the file, and takes up to 224 bytes of memory (an empty set)."""
 Value = Any
-"""On the stack: what an instruction meets there may be anything, and raises where it is not what it needs."""
+"""A value on the stack, of any type; an instruction raises if it does not fit."""
 PICKLE_KEY_TYPES = str | bytes | int | float | np.generic | None
-"""Types that may be a key: tuples that share their parts take ages to hash."""
+"""Types of keys: tuples that share parts may take hours to hash."""
 
 
 class PickleObjects(Protocol):
-    """The meaning of the names in a pickle. Each method raises for what is not allowed."""
+    """The meaning of the names in a pickle. Each method raises for forbidden names, arguments and states."""
 
     def named(self, module: object, name: object) -> object:
         """Return the stand-in for a name."""
@@ -57,10 +52,10 @@ class PickleObjects(Protocol):
 
 
 def run_pickle(content: bytes, objects: PickleObjects) -> object:
-    """Load the object in a pickle. A malformed one raises whatever its instructions meet: catch ``Exception``."""
+    """Load the object in a pickle. A malformed pickle may raise any ``Exception``."""
     machine = _PickleMachine(objects)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of texts with escapes that Python does not know
+        warnings.simplefilter("ignore", DeprecationWarning)  # texts with escapes unknown to Python
         for name, argument in _instructions(content):
             if name not in _OPCODE_ACTIONS:
                 raise ValueError(f"the instruction {name}")
@@ -69,7 +64,7 @@ def run_pickle(content: bytes, objects: PickleObjects) -> object:
 
 
 def check_keys(values: Sequence[object]) -> Sequence[object]:
-    """Check that values may be keys; raise ``ValueError`` otherwise."""
+    """Return values that may be keys. Raises ``ValueError`` for others."""
     for value in values:
         if not isinstance(value, PICKLE_KEY_TYPES):
             raise ValueError(f"a key of type {type(value).__name__}")
@@ -77,7 +72,7 @@ def check_keys(values: Sequence[object]) -> Sequence[object]:
 
 
 def _instructions(content: bytes) -> Iterator[tuple[str, Value]]:
-    """Name and argument of each instruction before STOP. Arguments are no longer than the bytes that are there."""
+    """Yield name and argument of each instruction before STOP. Arguments are no longer than the remaining bytes."""
     stream = io.BytesIO(content)
     for _ in range(MAX_PICKLE_INSTRUCTIONS):
         code = stream.read(1)
@@ -86,7 +81,7 @@ def _instructions(content: bytes) -> Iterator[tuple[str, Value]]:
         opcode = _OPCODES[code]
         if opcode.name == "STOP":
             return
-        if opcode.name == "STRING":  # before Python 3.12 pickletools takes ASCII only; Python 2 wrote arrays this way
+        if opcode.name == "STRING":  # Python 2 wrote arrays this way; pickletools before Python 3.12 takes ASCII only
             yield opcode.name, _python2_text(stream.readline())
         else:
             yield opcode.name, opcode.arg.reader(stream) if opcode.arg else None
@@ -94,7 +89,7 @@ def _instructions(content: bytes) -> Iterator[tuple[str, Value]]:
 
 
 def _python2_text(line: bytes) -> str:
-    """Parse a text of Python 2, in quotes and escaped, its bytes as Latin-1."""
+    """Parse a quoted and escaped text of Python 2, its bytes as Latin-1."""
     quoted = line.rstrip(b"\r\n")
     if len(quoted) < 2 or quoted[:1] not in {b"'", b'"'} or quoted[-1:] != quoted[:1]:
         raise ValueError("a text without quotes")
@@ -106,14 +101,14 @@ class _PickleMachine:
         self.objects = objects
         self.stack: list[Value] = []
         self.below: list[list[Value]] = []
-        """The stacks below the marks."""
+        """Stacks below the marks."""
         self.memo: dict[int, Value] = {}
 
     def push(self, value: Value) -> None:
         self.stack.append(value)
 
     def pop(self, count: int) -> list[Value]:
-        """Pop the last values, in the order in which they were pushed."""
+        """Pop the last values, in the order of their pushes."""
         return [self.stack.pop() for _ in range(count)][::-1]
 
     def mark(self) -> None:
@@ -137,7 +132,7 @@ class _PickleMachine:
         self.last(list).extend(values)
 
     def update(self, pairs: list[Value]) -> None:
-        """Take keys and values by turns into the last dictionary."""
+        """Add alternating keys and values to the last dictionary."""
         self.last(dict).update(zip(check_keys(pairs[::2]), pairs[1::2], strict=True))
 
     def add(self, values: list[Value]) -> None:
@@ -162,7 +157,7 @@ _PUSH_OPCODES = (
     "INT BININT BININT1 BININT2 LONG LONG1 FLOAT BINFLOAT STRING BINSTRING SHORT_BINSTRING UNICODE BINUNICODE "
     "SHORT_BINUNICODE BINUNICODE8 BINBYTES SHORT_BINBYTES BINBYTES8 BYTEARRAY8"
 )
-"""Those that push their argument. LONG4 is not among them: its integers are too long to print."""
+"""Opcodes that push their argument, without LONG4: its integers are too long to print."""
 _OPCODE_ACTIONS: dict[str, Callable[[_PickleMachine, Value], object]] = {
     "PROTO": lambda m, version: None,
     "FRAME": lambda m, length: None,
@@ -198,30 +193,29 @@ _OPCODE_ACTIONS: dict[str, Callable[[_PickleMachine, Value], object]] = {
     "NEWOBJ": lambda m, _: m.make(),
     "BUILD": lambda m, _: m.build(),
 }
-"""By name; the method of a machine that each is, and its argument. What is not in here is refused."""
+"""Effect of each allowed opcode on the machine, given its argument."""
 
 MAX_UNPICKLED_BYTES = 2**27
-"""Most bytes of all that one pickle makes. Honest ones need twice the file's size: many objects can be made of the same
-bytes."""
+"""Limit of all objects made from one pickle. Honest ones need twice the file's size; forged ones reuse its bytes."""
 NUMPY_TYPE_PATTERN = re.compile(r"b1|[iu][1248]|f[248]|[SU][1-9][0-9]{0,8}")
 """Numpy's names for booleans, integers, floats and texts of a fixed length."""
 MAX_CODE_POINT = 0x10FFFF
 
 
 class ForbiddenNameError(Exception):
-    """A pickle names something that is no array."""
+    """A pickle names a function or class that arrays do not need."""
 
 
 @dataclass(frozen=True, slots=True)
 class PickledName:
-    """An allowed name, as text: it cannot be called, and nothing of it can be set."""
+    """An allowed name, as text that can neither be called nor changed."""
 
     text: str
 
 
 @dataclass(eq=False, slots=True)
 class DType:
-    """Stands in for ``numpy.dtype``."""
+    """A stand-in for ``numpy.dtype``."""
 
     kind: str
     order: str = "="
@@ -229,7 +223,7 @@ class DType:
 
 @dataclass(eq=False, slots=True)
 class PickledArray:
-    """Stands in for an array that is built after it was made: of numbers or text, or a list of objects."""
+    """A stand-in for an array whose content is set later: numbers, text, or a list of objects."""
 
     content: ndarray | list[object] | None = None
     shape: tuple[int, ...] = ()
@@ -237,7 +231,7 @@ class PickledArray:
 
 @dataclass(eq=False, slots=True)
 class PickledInstance:
-    """Stands in for an object of a class that the reader asked for: it holds the state, and has no behaviour."""
+    """A stand-in for an object of an accepted class: its state, without behaviour."""
 
     kind: str
     state: dict[str, object] = field(default_factory=dict)
@@ -249,11 +243,7 @@ ALLOWED_PICKLE_NAMES = {
     ("_codecs", "encode"): PickledName("encode"),
     ("collections", "OrderedDict"): PickledName("OrderedDict"),
     **{(module, "_reconstructor"): PickledName("_reconstructor") for module in ("copy_reg", "copyreg")},
-    **{
-        (module, name): PickledName(name)
-        for module in ("__builtin__", "builtins")
-        for name in ("object", "set", "bytes")
-    },
+    **{(m, name): PickledName(name) for m in ("__builtin__", "builtins") for name in ("object", "set", "bytes")},
     **{
         (f"numpy.{core}.{module}", name): PickledName(name)
         for core in ("core", "_core")
@@ -263,7 +253,7 @@ ALLOWED_PICKLE_NAMES = {
 
 
 class StandIns:
-    """The stand-ins of one pickle; ``classes`` gives the kinds of ``PickledInstance``, by module and name."""
+    """The stand-ins of one pickle; ``classes`` maps module and name to the kinds of ``PickledInstance``."""
 
     def __init__(self, classes: Mapping[tuple[str, str], str], most_bytes: int = MAX_UNPICKLED_BYTES) -> None:
         self._names = ALLOWED_PICKLE_NAMES | {key: PickledName(kind) for key, kind in classes.items()}
@@ -278,7 +268,7 @@ class StandIns:
         return self._names[module, name]
 
     def make(self, name: object, arguments: object) -> object:
-        """Return the stand-in for the arguments that numpy writes; all others are refused, as a forbidden name is."""
+        """Return the stand-in for a call as numpy writes it. Raises ``ForbiddenNameError`` for all other arguments."""
         match name, arguments:
             case PickledName("dtype"), (str() as kind, *_):
                 return DType(kind)
@@ -293,7 +283,7 @@ class StandIns:
         return self._make_of_python(name, arguments)
 
     def _make_of_python(self, name: object, arguments: object) -> object:
-        """Build Python's own types, as pickles name them, and the classes that the reader asked for."""
+        """Build Python's own types, by their names in pickles, and instances of accepted classes."""
         match name, arguments:
             case PickledName("encode"), (str() as text, "latin1"):  # bytes in a pickle of protocol 2
                 self._count(len(text))
@@ -337,7 +327,7 @@ class StandIns:
     def _array(
         self, dtype: DType, shape: tuple[int, ...], raw: object, order: Literal["C", "F"] = "C"
     ) -> Shaped[ndarray, "..."]:
-        """Build an array of its own memory, from exactly as many bytes; from Python 2 they come as text."""
+        """Build an array with its own memory from exactly its bytes, which come as text from Python 2."""
         if not isinstance(raw, str | bytes | bytearray):
             raise ValueError(f"an array made of {type(raw).__name__}")
         if not NUMPY_TYPE_PATTERN.fullmatch(dtype.kind):
@@ -359,19 +349,18 @@ class StandIns:
 
 
 MAX_PICKLE_BYTES = 64 * 2**20
-"""Bytes of the largest file read; MANO's have 4 MB."""
+"""Limit of a file; MANO's have 4 MB."""
 MAX_PICKLE_VALUES, MAX_PICKLE_DEPTH = 2**24, 32
-"""Values in a file's lists and dictionaries, each as often as it is in one (8 bytes of a text or an array are a value);
-lists within lists.
-"""
+"""Limits of a file: values in lists and dictionaries, counted once per occurrence (8 bytes of a text or an array are a
+value); and levels of nested lists."""
 NPY_MAGIC = b"\x93NUMPY"
 NO_CLASSES: Mapping[tuple[str, str], str] = MappingProxyType({})
 
 
 def read_pickle_file(path: Path, what: str, largest: int = MAX_PICKLE_BYTES) -> dict[str, object]:
-    """Read the dictionary in a pickle, or in an ``.npy`` file that holds a pickled one (``np.save`` of a dictionary).
+    """Read a pickled dictionary, also in an ``.npy`` file (``np.save`` of a dictionary), as ``read_pickle_dict`` does.
 
-    As ``read_pickle_dict`` has it. Raises ``InputError``.
+    Raises ``InputError``.
     """
     content = read_bytes(path, largest)
     if content[: len(NPY_MAGIC)] == NPY_MAGIC:
@@ -379,7 +368,7 @@ def read_pickle_file(path: Path, what: str, largest: int = MAX_PICKLE_BYTES) -> 
         headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
         try:
             shape, _, dtype = headers[np.lib.format.read_magic(stream)](stream)
-        except Exception as error:  # the header is a Python literal: its parser raises many things
+        except Exception as error:  # the header is a Python literal: its parser raises many types
             raise InputError(path, "", f"an array whose header does not parse ({error})", what) from error
         if shape != () or not dtype.hasobject:
             raise InputError(path, "", f"an array of {dtype} of shape {shape}", what)
@@ -396,10 +385,9 @@ def read_pickle_dict(
 ) -> dict[str, object]:
     """Read the dictionary in a pickle, or in a pickled array of one object, as ``np.save`` writes it.
 
-    It holds arrays of numbers or text, and Python's own values. Objects of ``classes`` (module and name: kind) come as
-    an ``PickledInstance`` of that kind; any other name is refused. ``what`` says in errors what is expected; a file of more
-    than ``largest`` bytes is refused, and what takes more memory than one so large would. Raises ``InputError``,
-    also for what is malformed, no dictionary, or small in the file and vast in memory.
+    Its values are arrays of numbers or text, and Python's own types. Objects of ``classes`` (module and name: kind)
+    become a ``PickledInstance`` of that kind. ``what`` names the expected file in errors. Raises ``InputError`` for any
+    other name, more than ``largest`` bytes or the memory of a file of that size, and for all but a dictionary.
     """
     value = read_pickle_content(path, content, what, classes, largest)
     if not isinstance(value, dict):
@@ -414,10 +402,7 @@ def read_pickle_content(
     classes: Mapping[tuple[str, str], str] = NO_CLASSES,
     largest: int = MAX_PICKLE_BYTES,
 ) -> object:
-    """Read the content of a pickle, a dictionary or not; keys of a dictionary are text.
-
-    Raises ``InputError``.
-    """
+    """Read any value in a pickle as ``read_pickle_dict`` does; keys of a dictionary become text."""
     if len(content) > largest:
         raise InputError(path, "", f"{len(content) / 2**20:.0f} MB", f"{what} of at most {largest >> 20} MB")
     try:
@@ -429,25 +414,25 @@ def read_pickle_content(
         raise
     except ForbiddenNameError as error:
         raise InputError(path, "", f"a pickle that names {error}", f"{what}; nothing in it was run") from error
-    except Exception as error:  # damaged pickles raise whatever their instructions meet
+    except Exception as error:  # damaged pickles raise many types
         raise InputError(path, "", f"a pickle that does not load ({error})", what) from error
 
 
 def check_bounded(path: Path, value: object, what: str, most: int = MAX_PICKLE_VALUES) -> None:
-    """Refuse what is small in a file and without bounds in memory: a list that holds another twice, which holds ...
+    """Raise ``InputError`` for a value too large once unpacked (a list that holds another twice, which holds ...).
 
-    Raises ``InputError``, also for what contains itself.
+    A list that contains itself is too large.
     """
     sizes: dict[int, tuple[int, int]] = {}
 
     def size(value: object, depth: int) -> tuple[int, int]:
-        """Count the values in one, and how deep they are nested."""
+        """Return the number of contained values, and the levels of nesting."""
         if isinstance(value, float | int):  # most values, at once
             return 1, 0
         parts = _contained_values(value)
         if parts is None:
             return max(1, _size_in_bytes(value) // 8), 0
-        if depth > MAX_PICKLE_DEPTH:  # before what follows, which would not end for a list that holds itself
+        if depth > MAX_PICKLE_DEPTH:  # first: the recursion would not end for a list that contains itself
             raise InputError(path, "", f"values nested more than {MAX_PICKLE_DEPTH} deep", what)
         if id(value) not in sizes:
             inner = [size(part, depth + 1) for part in parts]
@@ -461,7 +446,7 @@ def check_bounded(path: Path, value: object, what: str, most: int = MAX_PICKLE_V
 
 
 def _contained_values(value: object) -> Collection[object] | None:
-    """Return the values that a value holds, or nothing for one that is whole."""
+    """Return the values inside a container; None for other values."""
     match value:
         case dict():
             return value.values()
@@ -482,7 +467,7 @@ def _size_in_bytes(value: object) -> int:
 
 
 def _replace_stand_ins(value: object, done: dict[int, object]) -> object:
-    """Replace stand-ins in a bounded value by arrays. What was shared still is, so that nothing grows."""
+    """Replace stand-ins in a bounded value by arrays. Shared parts stay shared, so that memory does not grow."""
     if isinstance(value, float | int):
         return value
     match value:

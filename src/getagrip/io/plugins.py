@@ -1,11 +1,7 @@
-"""Tables that other packages add to: each of its entry points names one object, which is loaded when it is used.
+"""Plug-ins of other packages, this package's optional extras, and the fingerprint of the code that made a result.
 
-A package that declares ``[project.entry-points."getagrip.methods"] mine = "package.module:MINE"`` and is installed adds
-a method ``mine`` (docs/extending.md).
-
-Which code made something: a fingerprint of the package's files, since they change within a version; the commit.
-
-Libraries that not everybody has: each belongs to an extra of the package.
+An installed package that declares ``[project.entry-points."getagrip.methods"] mine = "package.module:MINE"`` adds a
+method ``mine`` (docs/extending.md); its object is loaded on first use.
 """
 
 from __future__ import annotations
@@ -34,15 +30,18 @@ PACKAGE = Path(__file__).resolve().parents[1]
 UNFINGERPRINTED_PARTS = (
     "cli", "bench", "studio", "batch", "report", "export", "readers", "timelines/detect", "metrics/evaluate",
 )  # fmt: skip
-"""Folders that a reconstruction does not import: the wings above it (docs/architecture.md), and two rooms of the core."""
+"""Folders that a reconstruction never imports: the wings (docs/architecture.md), and two parts of the core."""
+T = TypeVar("T")
+ENTRY_POINT_PREFIX = "getagrip."
+"""Prefix of the groups of entry points."""
 
 
 @cache
 def fingerprint(*also: str) -> str:
     """Compute the checksum of all sources and tables that a reconstruction may depend on, 16 hexadecimal digits.
 
-    What is made otherwise depends on more: ``also`` are the folders and files ``UNFINGERPRINTED_PARTS`` that it depends on, relative to
-    the package. It changes with a comment, too: that a change does not matter cannot be seen from outside.
+    ``also`` are files and folders of ``UNFINGERPRINTED_PARTS`` to include, relative to the package. Comments count:
+    from the bytes of a file alone, an irrelevant change looks like any other.
     """
     total = hashlib.sha256()
     for path in sorted((*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.json"))):
@@ -55,28 +54,25 @@ def fingerprint(*also: str) -> str:
 
 
 def _is_within(name: str, parts: Iterable[str]) -> bool:
-    """Return whether a file is one of some files, or lies in one of some folders."""
+    """Return whether a file is one of ``parts``, or lies in one."""
     return f"{name}/".startswith(tuple(f"{part}/" for part in parts))
 
 
 def date_and_commit() -> str:
-    """Return the date and, in a git checkout, the package's commit: "2025-03-01, commit a1b2c3d".
-
-    The commit is marked where files of the package differ from it.
-    """
+    """Return the date and, in a git checkout, the package's commit: "2025-03-01, commit a1b2c3d"; see ``commit``."""
     today = date.today().isoformat()
     found = commit(PACKAGE)
     return f"{today}, commit {found}" if found else today
 
 
 def commit(folder: Path) -> str | None:
-    """Return the commit of a folder, marked if its files have changed; None if git does not have it."""
+    """Return a folder's git commit, marked if its files differ from it; None outside git."""
 
     def git(*words: str) -> str:
         return subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
 
     try:
-        if not git("ls-files", "."):  # ignored: installed into an environment within another checkout
+        if not git("ls-files", "."):  # ignored: an environment inside another checkout
             return None
         changed = git("status", "--porcelain", "--", ".")
         return git("rev-parse", "--short", "HEAD") + (" with uncommitted changes" if changed else "")
@@ -84,47 +80,41 @@ def commit(folder: Path) -> str | None:
         return None
 
 
-T = TypeVar("T")
-
-ENTRY_POINT_PREFIX = "getagrip."
-"""Prefix of the groups of entry points."""
-
-
 @cache
 def _find_entry_points() -> tuple[metadata.EntryPoint, ...]:
-    """All entry points for this package, by group and name."""
+    """Find all entry points for this package, sorted by group and name."""
     try:
         every = metadata.entry_points()
         found = [e for group in every.groups if group.startswith(ENTRY_POINT_PREFIX) for e in every.select(group=group)]
-    except Exception as error:  # of any package that is installed
+    except Exception as error:  # caused by any installed package
         warn_once(f"plug-ins cannot be listed: an entry_points.txt among the installed packages is malformed ({error})")
         return ()
     return tuple(sorted(found, key=lambda entry: (entry.group, entry.name, _package_version(entry))))
 
 
 def _package_version(entry: metadata.EntryPoint) -> str:
-    """Name and version of the package that an entry point is of."""
+    """Return name and version of an entry point's package."""
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "a package without a name"
 
 
 def plugin_names(kind: str) -> list[str]:
-    """List the names that other packages give things of a kind, such as ``exports``."""
+    """List the names of plug-ins of a kind, such as ``exports``."""
     return list(dict.fromkeys(entry.name for entry in _find_entry_points() if entry.group == ENTRY_POINT_PREFIX + kind))
 
 
 def plugin_packages() -> list[str]:
-    """List names and versions of the packages that add anything."""
+    """List names and versions of the packages with plug-ins."""
     return sorted({_package_version(entry) for entry in _find_entry_points()})
 
 
 def fingerprint_with_plugins() -> str:
-    """Return ``code.fingerprint``, and the packages that add anything."""
+    """Return ``fingerprint`` and ``plugin_packages``, as a text."""
     return " with ".join(filter(None, [fingerprint(), ", ".join(plugin_packages())]))
 
 
 @cache
 def warn_once(words: str) -> None:
-    """Print a warning, once, and not in each process that shares the work."""
+    """Print a warning once, from the main process only."""
     from multiprocessing import parent_process
 
     if parent_process() is None:
@@ -133,7 +123,7 @@ def warn_once(words: str) -> None:
 
 @contextmanager
 def convert_base_exceptions() -> Iterator[None]:
-    """Turn what is no ``Exception`` into one, as code of others may raise it; a Ctrl-C stays what it is."""
+    """Turn a ``BaseException`` raised by foreign code into a ``RuntimeError``; the user's Ctrl-C passes."""
     before = processes.interrupt_count()
     try:
         yield
@@ -147,9 +137,10 @@ def convert_base_exceptions() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Plugin:
-    """An object that other packages name: one of them, if all is right."""
+    """A plug-in of another package."""
 
     entries: tuple[metadata.EntryPoint, ...]
+    """Its entry points: one, unless several packages use one name."""
 
     @property
     def packages(self) -> str:
@@ -162,7 +153,7 @@ class Plugin:
         )
 
     def load(self) -> Any:
-        """Load the object. Raises ``UsageError``, whatever goes wrong."""
+        """Load the object. Raises ``UsageError`` for any failure."""
         if len(self.entries) > 1:
             raise UsageError(f"{self} have the same name: rename one, or uninstall its package")
         try:
@@ -174,25 +165,25 @@ class Plugin:
 
 @dataclass(eq=False)
 class PluginTable(MutableMapping[str, T], Generic[T]):
-    """Things of a kind by name: this package's, those that a script sets, and those of other packages.
+    """Entries of one kind by name: this package's, those set by scripts, and plug-ins.
 
-    The names of all are known without loading anything. One of another package that cannot be loaded raises
-    ``UsageError`` where it is asked for by its name; ``working`` leaves it out.
+    All names are known without loading anything. A plug-in that fails to load raises ``UsageError`` on access by its
+    name; ``working`` leaves it out.
     """
 
     kind: str
-    """The group of the entry points, behind ``ENTRY_POINT_PREFIX``."""
+    """Group of the entry points, without ``ENTRY_POINT_PREFIX``."""
     own: dict[str, T]
-    """Those of this package and of scripts."""
+    """Entries of this package and of scripts."""
     expected: str
-    """Description of what an entry point must name."""
+    """Description of a valid object, for errors."""
     fits: Callable[[str, object], bool]
     """Test of an entry point's name and object."""
     taken: tuple[str, ...] = ()
-    """Other names that none may have."""
+    """Other reserved names."""
     _loaded: dict[str, T] = field(default_factory=dict, init=False)
     _made_of: dict[str, str] = field(default_factory=dict, init=False)
-    """Checksums of loaded ones, as their files were when first asked for: later changes do not run here."""
+    """Checksums of loaded plug-ins, each computed once: later changes of their files do not run here."""
 
     def __post_init__(self) -> None:
         self._reserved = frozenset((*self.own, *self.taken))
@@ -200,14 +191,13 @@ class PluginTable(MutableMapping[str, T], Generic[T]):
 
     @cached_property
     def plugins(self) -> Mapping[str, Plugin]:
-        """Those of other packages, by name; without those whose names are taken or cannot be a folder's."""
+        """Plug-ins by name, except for names that are reserved or cannot be a folder's."""
         from getagrip.io.files import is_portable_name
 
         found: dict[str, Plugin] = {}
         for name in plugin_names(self.kind):
-            plugin = Plugin(
-                tuple(e for e in _find_entry_points() if (e.group, e.name) == (ENTRY_POINT_PREFIX + self.kind, name))
-            )
+            key = (ENTRY_POINT_PREFIX + self.kind, name)
+            plugin = Plugin(tuple(e for e in _find_entry_points() if (e.group, e.name) == key))
             if name in self._reserved:
                 warn_once(f"{plugin} is left out: getagrip has {name!r} itself; rename the entry point")
             elif not is_portable_name(name):
@@ -243,28 +233,26 @@ class PluginTable(MutableMapping[str, T], Generic[T]):
         return len({*self.own, *self.plugins})
 
     def working(self) -> dict[str, T]:
-        """Return all that can be loaded, after a warning about each of the others."""
-        there: dict[str, T] = {}
+        """Return all entries that load, with a warning about each of the others."""
+        out: dict[str, T] = {}
         for name in self:
             try:
-                there[name] = self[name]
+                out[name] = self[name]
             except UsageError as error:
                 warn_once(f"left out: {error}")
-        return there
+        return out
 
     def made_of(self, *only: str) -> Iterator[str]:
-        """Yield package, version and checksum of each working entry of another package, with names only of these."""
+        """Yield package, version and checksum of each working plug-in; with names, of these plug-ins only."""
         for name, value in self.working().items():
             if name not in self.own and (not only or name in only):
                 if name not in self._made_of:
-                    self._made_of[name] = (
-                        f"{self.plugins[name].packages} ({self.kind} {name} {_plugin_checksum(value)})"
-                    )
+                    part = f"{self.kind} {name} {_plugin_checksum(value)}"
+                    self._made_of[name] = f"{self.plugins[name].packages} ({part})"
                 yield self._made_of[name]
 
 
 def _plugin_checksum(value: object) -> str:
-    """Return the checksum of its sources, if these can be known."""
     from getagrip.io.source_checksum import UnknownSourceError, source_checksum
 
     try:
@@ -274,11 +262,11 @@ def _plugin_checksum(value: object) -> str:
 
 
 PLUGIN_TABLES: dict[str, PluginTable[Any]] = {}
-"""The tables that are loaded, by kind."""
+"""All tables whose modules are imported, by kind."""
 
 
 def plugin_dependencies(method: str) -> dict[str, str]:
-    """Return the dependencies of a method's result besides this package: an entry of its record, or none."""
+    """Return the plug-ins on which a method's result depends, as an entry of its record; empty without any."""
     methods = PLUGIN_TABLES["methods"].made_of(method) if "methods" in PLUGIN_TABLES else ()
     kinds = ("modalities", "input_checks", "result_checks")
     parts = [*methods, *(part for kind in kinds if kind in PLUGIN_TABLES for part in PLUGIN_TABLES[kind].made_of())]
@@ -286,7 +274,7 @@ def plugin_dependencies(method: str) -> dict[str, str]:
 
 
 def plugin_of(value: object) -> Plugin | None:
-    """Return the origin of an entry of a table; None for one of this package or of a script."""
+    """Return the plug-in of a table's entry; None for an entry of this package or of a script."""
     for table in PLUGIN_TABLES.values():
         for name, loaded in table._loaded.items():
             if loaded is value:
@@ -297,34 +285,30 @@ def plugin_of(value: object) -> Plugin | None:
 def import_extra(module: str, extra: str, option: str = "") -> ModuleType:
     """Import a module of an extra of this package.
 
-    Raises ``UsageError`` that says how to install it.
-
-    ``option`` is what asks for it; empty: ``--to`` and the extra's name.
+    ``option`` is the option that needs it; empty: ``--to`` and the extra's name. Raises ``UsageError`` with the command
+    that installs the extra.
     """
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise UsageError(
-            f"missing module {module!r} ({error}): {option or f'--to {extra}'} needs it; {install_command(extra)}"
-        ) from error
+        needed = f"{option or f'--to {extra}'} needs it; {install_command(extra)}"
+        raise UsageError(f"missing module {module!r} ({error}): {needed}") from error
 
 
 def install_command(extra: str) -> str:
-    """Write the command that installs an extra, as this package was installed: from a clone, a wheel or otherwise.
+    """Write the command that installs an extra, from the clone or wheel of this package.
 
-    Where that is not known or gone, it names the libraries themselves: never our name, which an index may not have or
-    may have from somebody else.
+    If these are unknown or gone, it names the libraries instead, never this package: an index may not have it, or have
+    another one of its name.
     """
-    source = _install_source()
-    if source:
-        option, path = source
-        return f'pip install {option}"{path}[{extra}]"'
+    if source := _install_source():
+        return 'pip install {}"{}[{}]"'.format(*source, extra)
     libraries = " ".join(f'"{each}"' for each in libraries_of(extra))
     return f"pip install {libraries}" if libraries else f"install the libraries of the extra {extra!r}"
 
 
 def libraries_of(extra: str) -> list[str]:
-    """List the requirements of an extra, as pip takes them; those of the extras that it brings, for ``all``."""
+    """List the requirements of an extra, as pip takes them; for ``all``, those of the extras that it includes."""
     mark = re.compile(rf"""extra == ['"]{re.escape(extra)}['"]""")
     found: list[str] = []
     for requirement in metadata.requires("getagrip") or ():
@@ -337,7 +321,7 @@ def libraries_of(extra: str) -> list[str]:
 
 
 def _install_source() -> tuple[str, str] | None:
-    """Return pip's option and the folder or wheel that this package was installed from, where it is there (PEP 610)."""
+    """Return pip's option and the folder or wheel from which this package was installed (PEP 610), if it exists."""
     try:
         record = json.loads(metadata.distribution("getagrip").read_text("direct_url.json") or "null")
     except (metadata.PackageNotFoundError, ValueError):

@@ -1,7 +1,4 @@
-"""Interrupts of the program by Ctrl-C: quiet whenever they come, and known from what code of others raises.
-
-Python in processes of our own: none imports from the current folder, which somebody else may have sent.
-"""
+"""Processes: Ctrl-C ends the program quietly at any time, and child Pythons never import from the current folder."""
 
 from __future__ import annotations
 
@@ -14,37 +11,37 @@ from types import FrameType
 
 PROGRAM_NAMES = ("getagrip", "getagrip.exe")
 INTERRUPT_EXIT_STATUS = 130
-"""Exit status of a program that was interrupted."""
+"""Exit status after Ctrl-C."""
 _interrupt_count = 0
 
 
 def is_program() -> bool:
-    """Return whether this process was started as the program, and not to use the package."""
+    """Return whether this process runs the command line, not a script that imports the package."""
     return os.path.basename(sys.argv[0] if sys.argv else "").lower() in PROGRAM_NAMES
 
 
 def exit_on_interrupt() -> None:
-    """End the process at once from now on: nothing is done yet, and imports make other errors of an interrupt."""
+    """End the process at once on Ctrl-C: imports, still running, would turn an interrupt into other errors."""
     _set_interrupt_handler(_exit_handler)
 
 
 def raise_on_interrupt() -> None:
-    """Raise ``KeyboardInterrupt`` from now on, and count it."""
+    """Raise ``KeyboardInterrupt`` on Ctrl-C, and count it."""
     _set_interrupt_handler(_raise_handler)
 
 
 def restore_default_interrupt() -> None:
-    """Let the system end the process from now on, without a word."""
+    """Let the system end the process on Ctrl-C, silently."""
     _set_interrupt_handler(signal.SIG_DFL)
 
 
 def interrupt_count() -> int:
-    """Return how often the user has interrupted ``raise_on_interrupt``."""
+    """Return the number of interrupts since ``raise_on_interrupt``."""
     return _interrupt_count
 
 
 def is_user_interrupt(error: BaseException, before: int) -> bool:
-    """Return whether an error is the user's interrupt, given the ``interrupt_count`` before it; else code of others raised it."""
+    """Return whether an error is the user's Ctrl-C, not raised by code, given the earlier ``interrupt_count``."""
     known = signal.getsignal(signal.SIGINT) in (_exit_handler, _raise_handler, signal.SIG_IGN)
     return isinstance(error, KeyboardInterrupt) and (_interrupt_count > before or not known)
 
@@ -67,19 +64,19 @@ def _raise_handler(number: int, frame: FrameType | None) -> None:
 
 
 SAFE_PATH_ENVIRONMENT = {"PYTHONSAFEPATH": "1"}
-"""Environment of processes whose command other code writes, such as multiprocessing's."""
+"""Environment of child processes whose command a library writes, such as multiprocessing's."""
 
 
 def python_command(*words: str) -> list[str]:
-    """Return the command that runs this Python with ``words``, as ``-m`` and a module."""
+    """Return the command that runs this Python with arguments ``words``, such as ``-m`` and a module."""
     return [sys.executable, "-P", *words]
 
 
 def imports_from_cwd() -> bool:
-    """Return whether this process itself imports from the current folder, as in a notebook: it is the user's own."""
+    """Return whether this process imports from the current folder, as a notebook does: the folder is trusted."""
     return bool({"", os.getcwd()} & {*sys.path})
 
 
 def leave_cwd() -> AbstractContextManager[None]:
-    """Leave the current folder for a while, unless it is the user's own."""
+    """Leave the current folder within a ``with`` block, unless it is trusted (``imports_from_cwd``)."""
     return nullcontext() if imports_from_cwd() else chdir(os.sep)

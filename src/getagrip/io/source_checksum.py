@@ -1,4 +1,4 @@
-"""Code from outside the package: a checksum of what a function is made of, and where in it an error arose."""
+"""Foreign code: a checksum of a function and all that it uses, and the line of an error in it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from numpy import ndarray
 from getagrip.io.plugins import PACKAGE
 
 REPR_TYPES = (type(None), bool, int, float, complex, str, bytes, np.generic, Path)
-"""Types whose ``repr`` says all about a value."""
+"""Types whose ``repr`` determines a value."""
 CONTAINER_PARTS: Mapping[type, Callable[[Any], Iterable[object]]] = {
     partial: lambda of: (of.func, of.args, of.keywords),
     MethodType: lambda of: (of.__func__, of.__self__),
@@ -34,7 +34,7 @@ CONTAINER_PARTS: Mapping[type, Callable[[Any], Iterable[object]]] = {
     frozenset: lambda of: sorted(of, key=repr),
     ndarray: lambda of: (str(of.dtype), of.shape, of.tolist() if of.dtype.hasobject else of.tobytes()),
 }
-"""Functions that list the objects within objects of some types."""
+"""Functions that list the objects inside objects of some types."""
 SITE_PACKAGES_FOLDERS = ("site-packages", "dist-packages")
 STDLIB_FOLDER = Path(sysconfig.get_path("stdlib")).resolve()
 
@@ -44,11 +44,11 @@ class UnknownSourceError(Exception):
 
 
 def source_checksum(value: object) -> str:
-    """Compute the checksum of all that a function or another value is made of besides this package.
+    """Compute the checksum of a function or another value, and all its parts outside this package.
 
-    That are the source files of functions and classes, those that they import and that belong to no installed library,
-    and the values that partials, closures, defaults and objects hold. Raises ``UnknownSourceError`` where a source is
-    in no file, as of what is typed at a prompt, or where a value holds what only its own code knows.
+    Parts are the source files of functions and classes, the files that these import except for installed libraries, and
+    the values in partials, closures, defaults and objects. Raises ``UnknownSourceError`` for a source without a file,
+    as typed at a prompt, and for a value with parts that only its own code knows.
     """
     made_of = _CodeParts()
     try:
@@ -60,9 +60,9 @@ def source_checksum(value: object) -> str:
 
 
 def locate_error(error: BaseException) -> str:
-    """Return the place of an error in code from outside, "mine.py:14": the last line in no installed library.
+    """Return the place of an error in foreign code, "mine.py:14": the last line outside installed libraries.
 
-    Empty where all of its code is of this package, of Python or of libraries.
+    Empty if all of its code belongs to this package, Python or libraries.
     """
     lines = [(line.filename, line.lineno) for line in traceback.extract_tb(error.__traceback__)]
     own = [f"{Path(name).name}:{number}" for name, number in lines if _is_user_code(Path(name))]
@@ -70,7 +70,7 @@ def locate_error(error: BaseException) -> str:
 
 
 def _is_user_code(file: Path) -> bool:
-    """Return whether a file, or the prompt that an error's line names, is a user's own."""
+    """Return whether a file, or the prompt named by an error's line, is the user's own."""
     if not file.is_file():
         return file.name == "<stdin>" or (not file.name.startswith("<") and bool(linecache.getlines(str(file))))
     return not _is_package_or_stdlib(file.resolve()) and not _is_in_site_packages(file.resolve())
@@ -83,10 +83,10 @@ class _CodeParts:
     files: set[Path] = field(default_factory=set)
     values: list[str] = field(default_factory=list)
     seen: dict[int, object] = field(default_factory=dict)
-    """Objects by their ``id``, which is theirs alone as long as they are held here."""
+    """Objects by ``id``, kept alive so that no id is reused."""
 
     def add(self, value: object) -> None:
-        """Add a value and what it holds."""
+        """Add a value and its parts."""
         if isinstance(value, REPR_TYPES):
             self.values.append(f"{type(value).__name__} {value!r}")
         elif id(value) not in self.seen:
@@ -96,7 +96,7 @@ class _CodeParts:
                 self.add(part)
 
     def digests(self) -> list[str]:
-        """Return the checksums of the files, and of the files that these import."""
+        """Return the checksums of the files and their imports."""
         found, left = dict[Path, str](), list(self.files)
         while left:
             file = left.pop()
@@ -107,14 +107,14 @@ class _CodeParts:
         return list(found.values())
 
     def _within(self, value: object) -> Iterator[object]:
-        """Yield the parts of an object."""
+        """Yield an object's parts."""
         if isinstance(value, FunctionType):
             self._note(value.__code__.co_filename)
             yield from (value.__qualname__, value.__defaults__, value.__kwdefaults__)
             yield from (cell.cell_contents for cell in value.__closure__ or ())
         elif isinstance(value, type):
             yield from (value.__module__, value.__qualname__)
-            if value.__module__ not in sys.builtin_module_names:  # those have no file
+            if value.__module__ not in sys.builtin_module_names:  # built-in modules have no file
                 yield sys.modules.get(value.__module__)
         elif isinstance(value, ModuleType):
             self._note(getattr(value, "__file__", None) or "")
@@ -124,7 +124,7 @@ class _CodeParts:
             yield from _parts_of_object(value)
 
     def _note(self, name: str) -> None:
-        """Note a source file, if it is not the package's or Python's own."""
+        """Note a source file outside this package and Python."""
         file = Path(name)
         if not file.is_file():
             raise UnknownSourceError(name)
@@ -137,7 +137,7 @@ def _parts_of_object(value: object) -> Iterable[object]:
     for kind, parts in CONTAINER_PARTS.items():
         if isinstance(value, kind):
             return parts(value)
-    if hasattr(value, "__wrapped__"):  # a function that a decorator keeps
+    if hasattr(value, "__wrapped__"):  # a decorated function
         return (value.__wrapped__,)
     if not hasattr(value, "__dict__"):
         raise UnknownSourceError(f"a {type(value).__name__}")
@@ -145,7 +145,7 @@ def _parts_of_object(value: object) -> Iterable[object]:
 
 
 def _is_package_or_stdlib(file: Path) -> bool:
-    """Return whether a file is of this package, whose code is known, or of Python's library."""
+    """Return whether a file belongs to this package or to Python's library."""
     return file.is_relative_to(PACKAGE) or (file.is_relative_to(STDLIB_FOLDER) and not _is_in_site_packages(file))
 
 
@@ -155,11 +155,9 @@ def _is_in_site_packages(file: Path) -> bool:
 
 @dataclass(frozen=True)
 class _SourceFile:
-    """A source file."""
-
     digest: str
     imports: frozenset[Path]
-    """Files from outside that it imports, wherever in it."""
+    """Foreign files imported anywhere in it."""
 
 
 def _read_source_file(file: Path) -> _SourceFile:
@@ -176,9 +174,9 @@ def _read_source_file(file: Path) -> _SourceFile:
 
 
 def _imported_files(importer: Path, level: int, module: str, names: tuple[str, ...]) -> Iterator[Path]:
-    """Yield the files that an import loads: the module's, its packages', and those of ``names`` that are modules.
+    """Yield the files that an import loads: the module, its packages, and the modules among ``names``.
 
-    None of a library that is installed, unless the importing file is of the same.
+    Files of an installed library only if the importing file belongs to it.
     """
     first, *rest = module.split(".") if module else [""]
     if level:
@@ -187,7 +185,7 @@ def _imported_files(importer: Path, level: int, module: str, names: tuple[str, .
     else:
         try:
             spec = find_spec(first)
-        except (ImportError, ValueError):  # the script that is run has none
+        except (ImportError, ValueError):  # the running script has no spec
             spec = None
         if spec is None or (_is_in_site_packages(Path(spec.origin or "")) and first not in importer.parts):
             return
@@ -205,6 +203,6 @@ def _imported_files(importer: Path, level: int, module: str, names: tuple[str, .
 
 
 def _foreign_file(origin: str | None) -> Iterator[Path]:
-    """Yield the file of a module from outside."""
+    """Yield the file of a foreign module."""
     if origin is not None and (file := Path(origin)).is_file() and not _is_package_or_stdlib(file.resolve()):
         yield file.resolve()

@@ -1,8 +1,7 @@
-"""Folders in object stores, by fsspec: ``s3://bucket/folder``, ``gs://...`` and whatever else it can reach.
+"""Folders in object stores, by fsspec: ``s3://bucket/folder``, ``gs://...``, ``https://...`` and its other protocols.
 
-What lies there is untrusted, as files are: sizes are bounded before memory is taken, names lead nowhere else.
-
-Stores at http:// and https:// addresses: no answer is longer than asked for, and none comes from another server.
+Their content is untrusted, as files are: sizes are bounded before memory is taken, and names stay inside the folder. An
+HTTP response is no longer than requested, and comes from the requested server.
 """
 
 from __future__ import annotations
@@ -26,18 +25,17 @@ if TYPE_CHECKING:
 
 HTTP_PROTOCOLS = ("http", "https")
 MAX_LISTING_BYTES = 64 * 2**20
-"""Bytes of an answer to what asks for no range, such as a folder's page."""
+"""Limit of a response to a request without a range, such as a folder's page."""
 
 
 def fsspec_options(url: str) -> dict[str, object]:
-    """Return fsspec's options for the protocols in an address; empty where there are none."""
-    return {
-        kind: {"client_kwargs": _client_arguments()} for kind in HTTP_PROTOCOLS if re.search(rf"(^|::){kind}://", url)
-    }
+    """Return fsspec's options for the protocols in an address; empty if all defaults are right."""
+    kinds = [kind for kind in HTTP_PROTOCOLS if re.search(rf"(^|::){kind}://", url)]
+    return {kind: {"client_kwargs": _client_arguments()} for kind in kinds}
 
 
 def asked_bytes(headers: Mapping[str, str]) -> int | None:
-    """Return the number of bytes a request asks for; None where it does not say."""
+    """Return the number of bytes that a request asks for; None without a range."""
     asked = re.fullmatch(r"bytes=(\d+)-(\d+)", headers.get("Range", ""))
     return None if asked is None else int(asked[2]) - int(asked[1]) + 1
 
@@ -48,7 +46,7 @@ def _client_arguments() -> dict[str, object]:
     import aiohttp
 
     class Bounded(aiohttp.ClientResponse):  # type: ignore[misc]
-        """An answer of which no more is read than was asked for: servers may ignore ranges, and bodies never end."""
+        """A response, read up to the requested length: servers may ignore ranges, and bodies may be endless."""
 
         _body: bytes | None = None
 
@@ -64,9 +62,8 @@ def _client_arguments() -> dict[str, object]:
                 if not left:
                     self.close()
                     if asked is None:
-                        raise InputError(
-                            str(self.url), "", f"more than {MAX_LISTING_BYTES} bytes", "at most that in a listing"
-                        )
+                        got = f"more than {MAX_LISTING_BYTES} bytes"
+                        raise InputError(str(self.url), "", got, "at most that in a listing")
                 self._body = body = b"".join(parts)
             return body
 
@@ -81,18 +78,18 @@ def _client_arguments() -> dict[str, object]:
 
 
 STORE_EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gs", "gcs": "gs"}
-"""The extra of this package that reads a kind of address."""
+"""This package's extra for each protocol."""
 MAX_REMOTE_FILES, MAX_REMOTE_BYTES, MAX_REMOTE_DEPTH = 20_000, files.MAX_FILE_BYTES, 8
-"""Limits of a folder that is copied: files, bytes in all, and levels."""
+"""Limits of a copied folder: files, bytes in all, and levels."""
 ARCHIVE_SUFFIX = ".zip"
-"""A clip may be one object of this kind."""
+"""Suffix of a clip stored as a single object."""
 WRITE_TEST_NAME = ".getagrip.trial"
-"""Name of an object that is written, and removed, to see whether that can be done."""
+"""Name of an object that is written and removed to test for permission."""
 
 
 @dataclass(frozen=True)
 class RemotePath:
-    """A folder in an object store, or an object. Every method raises ``GetagripError`` where the store cannot do it."""
+    """A folder or an object in an object store. Every method raises ``GetagripError`` if the store fails."""
 
     url: str
     """Without a slash at its end."""
@@ -110,22 +107,19 @@ class RemotePath:
 
     @property
     def parent(self) -> RemotePath:
-        """The folder that it is in."""
+        """The containing folder."""
         return RemotePath(self.url.rpartition("/")[0])
 
     def children(self) -> list[tuple[str, bool]]:
-        """List the names in the folder, sorted, and whether each is a folder.
-
-        Raises ``UsageError`` where there is none.
-        """
+        """List the names in the folder, sorted, and whether each is a folder. Raises ``UsageError`` if missing."""
         with self._named():
             fs, path = self._opened()
             try:
                 entries = fs.ls(path, detail=True)
             except FileNotFoundError as error:
                 raise UsageError(f"{self}: no such folder or bucket") from error
-            there = ((_name_in_listing(entry), entry["type"] == "directory") for entry in entries)
-            return sorted((name, is_folder) for name, is_folder in there if name and name != self.name)
+            found = ((str(entry["name"]).rstrip("/").rpartition("/")[2], entry["type"]) for entry in entries)
+            return sorted((name, kind == "directory") for name, kind in found if name and name != self.name)
 
     def matches(self) -> list[RemotePath]:
         """List the addresses that match this one as a pattern, sorted."""
@@ -134,7 +128,7 @@ class RemotePath:
             return sorted((RemotePath(fs.unstrip_protocol(found)) for found in fs.glob(path)), key=str)
 
     def read(self, limit: int) -> bytes | None:
-        """Read an object of at most ``limit`` bytes; None where there is none."""
+        """Read an object of at most ``limit`` bytes; None if it is missing."""
         with self._named():
             fs, path = self._opened()
             try:
@@ -146,7 +140,7 @@ class RemotePath:
         return bytes(content)
 
     def write(self, content: bytes) -> None:
-        """Make an object, or replace it, whole."""
+        """Make or replace an object, whole."""
         with self._named():
             fs, path = self._opened()
             fs.pipe_file(path, content)
@@ -158,24 +152,22 @@ class RemotePath:
             fs.rm_file(path)
 
     def copy_to(self, folder: Path, leave_out: Sequence[str] = ()) -> None:
-        """Copy all below it into a new folder, but what lies in folders or has names that are to be left out.
+        """Copy the folder into a new local one, except for files and folders named in ``leave_out``.
 
-        Raises ``InputError`` where names lead out, where it is too large, and where it changes meanwhile.
+        Raises ``InputError`` for names that lead out, too large folders, and changes during the copy.
         """
         with self._named():
             fs, root = self._opened()
             before = self._listed(fs, root, leave_out)
             contents = self._contents(fs, {name: (entry["name"], entry["size"]) for name, entry in before.items()})
             if self._listed(fs, root, leave_out) != before:
-                raise InputError(
-                    self.url, "", "files that changed while they were read", "a folder that stays as it is"
-                )
+                raise self._changed_error()
         _write_folder_files(folder, contents)
 
     def unpack_to(self, folder: Path, leave_out: Sequence[str] = ()) -> None:
-        """Copy what a zip archive holds into a new folder, as ``copy_to`` does; it may all be in one folder there.
+        """Copy a zip archive's files into a new folder, as ``copy_to`` does; a folder around all of them is dropped.
 
-        Also raises ``InputError`` for damaged archives, links in them, and names that stand twice.
+        Also raises ``InputError`` for damaged archives, links in them, and duplicate names.
         """
         from getagrip.io import arrays
 
@@ -188,23 +180,21 @@ class RemotePath:
                 contents = {name: arrays.read_archive_member(archive, member) for name, member in members.items()}
         except InputError:
             raise
-        except Exception as error:  # zipfile and its decompressors raise whatever they meet
+        except Exception as error:  # zipfile and its decompressors raise many types
             raise InputError(self.url, "", f"a file that does not unpack ({error})", "a zip archive") from error
         _write_folder_files(folder, contents)
 
     def fetch(self, names: Sequence[str], limit: int, folder: Path) -> None:
-        """Copy objects below it by name, in parallel, each of at most ``limit`` bytes; missing ones are skipped."""
+        """Copy objects of the folder by name, in parallel; objects missing or above ``limit`` bytes are skipped."""
         with self._named():
             fs, root = self._opened()
             paths = [f"{root}/{name}" for name in names]
             contents = fs.cat_ranges(paths, [0] * len(paths), [limit + 1] * len(paths), on_error="return")
-        for name, content in zip(names, contents, strict=True):
-            if not isinstance(content, Exception) and len(content) <= limit:
-                (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                files.write_bytes(folder / name, bytes(content))
+        found = {name: c for name, c in zip(names, contents, strict=True) if not isinstance(c, Exception)}
+        _write_folder_files(folder, {name: bytes(c) for name, c in found.items() if len(c) <= limit})
 
     def check_writable(self, option: str) -> None:
-        """Raise ``UsageError``, in the name of an option, where nothing can be written into the folder."""
+        """Raise ``UsageError``, in the name of an option, if the folder is not writable."""
         trial = self / WRITE_TEST_NAME
         try:
             trial.write(b"")
@@ -215,7 +205,7 @@ class RemotePath:
             raise UsageError(f"{option} must be a folder that can be written (got {self}: {error})") from error
 
     def _listed(self, fs: AbstractFileSystem, root: str, leave_out: Sequence[str]) -> dict[str, files.Json]:
-        """Return the store's checked record of each file below it, by name."""
+        """Return the store's checked record of each file in the folder, by name."""
         found = fs.find(root, detail=True).items()
         there = {name.removeprefix(f"{root}/"): entry for name, entry in found if name.startswith(f"{root}/")}
         is_file = {name: entry["type"] == "file" and not name.endswith("/") for name, entry in there.items()}
@@ -224,7 +214,7 @@ class RemotePath:
         return wanted
 
     def _members(self, archive: ZipFile, leave_out: Sequence[str]) -> dict[str, ZipInfo]:
-        """List the files in an archive by name, without a folder that holds all of them, checked."""
+        """List an archive's files by name, checked, without a folder around all of them."""
         members = [member for member in archive.infolist() if not member.is_dir()]
         if any(stat.S_ISLNK(member.external_attr >> 16) for member in members):
             raise InputError(self.url, "", "a link in it", "files only")
@@ -238,21 +228,21 @@ class RemotePath:
         return wanted
 
     def _contents(self, fs: AbstractFileSystem, wanted: Mapping[str, tuple[str, int]]) -> dict[str, bytes]:
-        """Read files by name, each of its size, several at once."""
-        full = {name: place for name, place in wanted.items() if place[1]}  # of nothing no range can be read
+        """Read files by name, given the path and size of each, in parallel."""
+        full = {name: place for name, place in wanted.items() if place[1]}  # an empty file has no range
         paths, sizes = [path for path, _ in full.values()], [size for _, size in full.values()]
         contents = fs.cat_ranges(paths, [0] * len(paths), [size + 1 for size in sizes], on_error="raise")
-        for size, content in zip(sizes, contents, strict=True):
-            if len(content) != size:
-                raise InputError(
-                    self.url, "", "files that changed while they were read", "a folder that stays as it is"
-                )
+        if [len(content) for content in contents] != sizes:
+            raise self._changed_error()
         return dict.fromkeys(wanted, b"") | dict(zip(full, map(bytes, contents), strict=True))
 
+    def _changed_error(self) -> InputError:
+        return InputError(self.url, "", "files that changed while they were read", "a folder that stays as it is")
+
     def _opened(self) -> tuple[AbstractFileSystem, str]:
-        """Open the file system; also return the path in it. Raises ``UsageError`` where a library for it is missing."""
+        """Open the file system; also return the path in it. Raises ``UsageError`` if its library is missing."""
         kind = self.url.split(":", 1)[0]
-        extra = STORE_EXTRAS.get(kind, "s3")  # any of them brings fsspec
+        extra = STORE_EXTRAS.get(kind, "s3")  # every extra includes fsspec
         core = plugins.import_extra("fsspec.core", extra, self.url)
         try:
             fs, path = core.url_to_fs(self.url, use_listings_cache=False, **fsspec_options(self.url))
@@ -266,25 +256,24 @@ class RemotePath:
 
     @contextmanager
     def _named(self) -> Iterator[None]:
-        """Whatever libraries raise, in words and with the address."""
+        """Convert the libraries' errors to ``GetagripError`` with the address."""
         try:
             yield
         except GetagripError:
             raise
-        except FileNotFoundError as error:
-            raise GetagripError(f"{self}: no such file, folder or bucket ({_shorten_error(error)})") from error
         except Exception as error:
-            raise GetagripError(
-                f"{self}: it cannot be reached ({type(error).__name__}: {_shorten_error(error)})"
-            ) from error
+            words = " ".join(str(error).split())[:300]
+            if isinstance(error, FileNotFoundError):
+                raise GetagripError(f"{self}: no such file, folder or bucket ({words})") from error
+            raise GetagripError(f"{self}: it cannot be reached ({type(error).__name__}: {words})") from error
 
 
 Place = Path | RemotePath
-"""A folder: on a disk, or in an object store."""
+"""A folder, local or in an object store."""
 
 
 def parse_place(text: str) -> Place:
-    """Parse a path or an address: ``file://`` and plain paths are on a disk."""
+    """Parse a path or an address; ``file://`` addresses are local paths."""
     kind, mark, rest = text.partition("://")
     if not mark:
         return Path(text)
@@ -294,11 +283,11 @@ def parse_place(text: str) -> Place:
 
 
 def select_names(source: str, names: Iterable[str], leave_out: Sequence[str]) -> list[str]:
-    """List the names of an untrusted folder, without hidden ones and those to be left out. Raises ``InputError``."""
+    """List the names of an untrusted folder, except for hidden ones and ``leave_out``. Raises ``InputError``."""
     wanted = []
     for name in names:
         parts = name.split("/")
-        if parts[0] in leave_out or any(map(_is_hidden, parts)):
+        if parts[0] in leave_out or any(part.startswith(".") and part not in (".", "..") for part in parts):
             continue
         if len(parts) > MAX_REMOTE_DEPTH or not all(map(files.is_portable_name, parts)):
             raise InputError(source, "", f"the name {files.shorten_value(name)}", "names of files inside the folder")
@@ -307,35 +296,21 @@ def select_names(source: str, names: Iterable[str], leave_out: Sequence[str]) ->
 
 
 def check_size(source: str, sizes: Sequence[int]) -> None:
-    """Raise ``InputError`` for too many files of a folder, or too many bytes in all."""
+    """Raise ``InputError`` for a folder of too many files, or too many bytes in all."""
     if len(sizes) > MAX_REMOTE_FILES or sum(sizes) > MAX_REMOTE_BYTES:
         got = f"{len(sizes)} files of {sum(sizes)} bytes"
         raise InputError(source, "", got, f"at most {MAX_REMOTE_FILES} files of {MAX_REMOTE_BYTES} bytes")
 
 
 def require_local_path(option: str, value: Place) -> Path:
-    """Return a path on a disk; an option that takes no address. Raises ``UsageError``."""
+    """Return the local path of an option that takes no address. Raises ``UsageError``."""
     if isinstance(value, RemotePath):
         raise UsageError(f"{option} cannot be used with {value}, only with folders on a disk")
     return value
 
 
 def _write_folder_files(folder: Path, contents: Mapping[str, bytes]) -> None:
-    """Files into a folder, by name."""
     for name, content in contents.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         files.write_bytes(path, content)
-
-
-def _name_in_listing(entry: Mapping[str, object]) -> str:
-    """Return the last part of what a listing names."""
-    return str(entry["name"]).rstrip("/").rpartition("/")[2]
-
-
-def _is_hidden(part: str) -> bool:
-    return part.startswith(".") and part not in (".", "..")
-
-
-def _shorten_error(error: Exception) -> str:
-    return " ".join(str(error).split())[:300]

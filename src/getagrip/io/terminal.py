@@ -1,12 +1,8 @@
-"""Output on a terminal or into a pipe: tables, a progress bar, numbers of things in words.
+"""Text for people: notes and warnings, progress bars, tables (terminal, CSV, Markdown); and the user's own folders.
 
-The user's own folders, for what is neither input nor result.
-
-Tables in CSV, which a spreadsheet opens without running anything, and in Markdown.
-
-Spreadsheets take a text that begins with ``=``, ``+``, ``-``, ``@`` or a control character for a formula. Names come
-from untrusted files, so that such a text gets an apostrophe before it, which spreadsheets do not show and
-``files.csv_rows`` takes away again. Numbers stay as they are.
+Spreadsheets run a cell that begins with ``=``, ``+``, ``-``, ``@`` or a control character as a formula. Names come
+from untrusted files: such a text gets an apostrophe in front, which spreadsheets hide and ``files.csv_rows`` removes.
+Numbers are written unchanged.
 """
 
 from __future__ import annotations
@@ -34,24 +30,24 @@ if TYPE_CHECKING:
 
 
 def cache_folder() -> Path:
-    """Return the folder of what can be made again. Raises ``UsageError`` where the user has none."""
+    """Return the folder of data that can be made again. Raises ``UsageError`` for a user without a home folder."""
     return _xdg_folder("XDG_CACHE_HOME", ".cache")
 
 
 def state_folder() -> Path:
-    """Return the folder of what is worth keeping. Raises ``UsageError`` where the user has none."""
+    """Return the folder of data worth keeping. Raises ``UsageError`` for a user without a home folder."""
     return _xdg_folder("XDG_STATE_HOME", ".local/state")
 
 
 def _xdg_folder(variable: str, below_home: str) -> Path:
     try:
         return Path(os.environ.get(variable) or Path.home() / below_home) / "getagrip"
-    except RuntimeError as error:  # as in a container, for a user whom it does not know
+    except RuntimeError as error:  # as in a container, for an unknown user
         raise UsageError(f"missing HOME or {variable}: this user has no home folder") from error
 
 
 def is_private_folder(folder: Path) -> bool:
-    """Return whether nobody but this user and root can write into a folder, or put another one in its place."""
+    """Return whether only this user and root can write into a folder, or replace it."""
     if os.name == "nt":
         return True
     whole, real = folder.absolute(), folder.resolve()
@@ -59,7 +55,7 @@ def is_private_folder(folder: Path) -> bool:
 
 
 def _is_protected_path(path: Path, last: bool) -> bool:
-    """Return whether nobody else can exchange what a path leads to; nor, of the ``last`` folder, add to it."""
+    """Return whether only this user and root can replace a path's target; nor add entries, in the ``last`` folder."""
     try:
         about = path.lstat()
     except FileNotFoundError:
@@ -68,35 +64,33 @@ def _is_protected_path(path: Path, last: bool) -> bool:
         return False
     if about.st_uid not in (0, os.geteuid()):
         return False
-    writers = stat.S_IWOTH | (0 if _is_private(about.st_gid, about.st_uid) else stat.S_IWGRP)
-    kept = bool(about.st_mode & stat.S_ISVTX) and not last  # where only the owner of an entry removes it
-    return stat.S_ISLNK(about.st_mode) or kept or not about.st_mode & writers
+    writers = stat.S_IWOTH | (0 if _is_private_group(about.st_gid, about.st_uid) else stat.S_IWGRP)
+    sticky = bool(about.st_mode & stat.S_ISVTX) and not last  # only an entry's owner removes it
+    return stat.S_ISLNK(about.st_mode) or sticky or not about.st_mode & writers
 
 
-def _is_private(group: int, owner: int) -> bool:
-    """Return whether a group has its owner alone, as where each user has one of the same name."""
+def _is_private_group(group: int, owner: int) -> bool:
+    """Return whether a group is named after its owner, and has no other member."""
     try:
         import grp
         import pwd
 
-        of, name = grp.getgrgid(group), pwd.getpwuid(owner).pw_name
+        found, name = grp.getgrgid(group), pwd.getpwuid(owner).pw_name
     except (ImportError, KeyError):
         return False
-    return of.gr_name == name and {*of.gr_mem} <= {name}
+    return found.gr_name == name and {*found.gr_mem} <= {name}
 
 
 Progressed: TypeAlias = Callable[[str, float], None] | bool | None
-"""Progress as public functions take it (``progress_callback``)."""
+"""Progress argument of public functions (``progress_callback``)."""
 PIPE_WIDTH = 200
-"""Columns of a pipe, which has no width of its own: enough for every table."""
-
-
+"""Width assumed for a pipe [characters]: enough for every table."""
 PROGRESS_LINE_WIDTH = 70
-"""Letters of a line that the next one overwrites."""
+"""Width of a progress line, which the next one overwrites [characters]."""
 
 
 class NullOutput(io.TextIOBase):
-    """Standard output under ``--quiet``, which shows neither text nor progress bars."""
+    """Standard output under ``--quiet``: neither text nor progress bars."""
 
     def writable(self) -> bool:
         return True
@@ -106,26 +100,26 @@ class NullOutput(io.TextIOBase):
 
 
 def print_note(words: str) -> None:
-    """Print a note, apart from the results; what files say in it moves no cursor."""
+    """Print a note to stderr; quoted file content cannot move the cursor."""
     print(escape_unprintable(words), file=sys.stderr)
 
 
-_collected_warnings: ContextVar[list[str] | None] = ContextVar("_kept", default=None)
-"""The list that warnings are added to instead of being printed; None: they are printed."""
+_collected_warnings: ContextVar[list[str] | None] = ContextVar("_collected_warnings", default=None)
+"""List that collects warnings; None: warnings are printed."""
 
 
 def warn(words: str) -> None:
-    """Print a warning, or keep it, within ``collect_warnings``."""
-    kept = _collected_warnings.get()
-    if kept is None:
+    """Print a warning, or collect it within ``collect_warnings``."""
+    collected = _collected_warnings.get()
+    if collected is None:
         print_note(f"warning: {words}")
     else:
-        kept.append(words)
+        collected.append(words)
 
 
 @contextmanager
 def collect_warnings() -> Iterator[list[str]]:
-    """Keep warnings in a list instead of printing them."""
+    """Collect warnings in a list instead of printing them."""
     warnings = list[str]()
     token = _collected_warnings.set(warnings)
     try:
@@ -135,12 +129,12 @@ def collect_warnings() -> Iterator[list[str]]:
 
 
 def print_result(words: str) -> None:
-    """Print a result at once; names in it move no cursor, and lines stay lines."""
+    """Print a result at once, line breaks kept; names in it cannot move the cursor."""
     print(escape_unprintable(words, "\n"), flush=True)
 
 
 def console() -> Console:
-    """Make the console on which tables are printed."""
+    """Make the console for tables."""
     from rich.console import Console
 
     return Console(highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
@@ -149,7 +143,7 @@ def console() -> Console:
 def make_table(
     title: str | None = None, title_style: str | None = None, title_justify: Literal["left", "center"] = "center"
 ) -> Table:
-    """Make an empty table, its only line below the headings."""
+    """Make an empty table with a single rule, below the headings."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -167,7 +161,7 @@ def _in_notebook() -> bool:
 
 @contextmanager
 def progress_bar(counted: bool = False) -> Iterator[Progress]:
-    """Show a bar on stderr, where that is a terminal; ``format_count`` adds the counts and the time left."""
+    """Show a bar on stderr if it is a terminal; ``counted`` adds the counts and the time left."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -182,27 +176,27 @@ def progress_bar(counted: bool = False) -> Iterator[Progress]:
     columns: list[ProgressColumn] = [TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn()]
     if counted:
         columns += [MofNCompleteColumn(), TextColumn("left"), TimeRemainingColumn()]
-    stderr = Console(stderr=True)
-    in_notebook = _in_notebook() and find_spec("ipywidgets") is not None  # rich draws by it there
+    stderr = Console(file=sys.stderr, stderr=True)  # this stream, even if sys.stderr is replaced later
+    in_notebook = _in_notebook() and find_spec("ipywidgets") is not None  # rich draws with it
     with Progress(
         *columns,
         console=stderr,
         disable=not (stderr.is_terminal or in_notebook) or isinstance(sys.stdout, NullOutput),
         transient=True,
-        redirect_stdout=sys.stdout.isatty(),  # else what is printed would leave a pipe for the terminal
-        speed_estimate_period=600.0,  # a clip takes seconds: the default of half a minute holds only a few
+        redirect_stdout=sys.stdout.isatty(),  # else prints would leave a pipe for the terminal
+        speed_estimate_period=600.0,  # a clip takes seconds: the default, half a minute, averages only a few
     ) as bar:
         yield bar
 
 
 def show_stage(bar: Progress, task: TaskID, name: str, stage: str, part: float) -> None:
-    """Show how far the clip at work is: its stage in words, and how much of that is done, 0 to 1."""
+    """Show the current clip's stage in words, and the fraction done, 0 to 1."""
     bar.update(task, description=escape_unprintable(f"{name}: {stage}"), completed=part)
 
 
 @contextmanager
 def progress_callback(progress: Progressed, name: str) -> Iterator[Callable[[str, float], None] | None]:
-    """Give the function that is called with a stage in words and how much is done, 0 to 1.
+    """Give the function to call with a stage in words and the fraction done, 0 to 1.
 
     True shows a bar on a terminal or in a notebook; False and None show nothing.
     """
@@ -217,12 +211,12 @@ def progress_callback(progress: Progressed, name: str) -> Iterator[Callable[[str
 
 
 def format_count(number: int, thing: str, things: str = "") -> str:
-    """Write a count, such as "1 clip" or "2 clips"; ``things`` is the plural where it takes more than an s."""
+    """Write a count, such as "1 clip" or "2 clips"; ``things`` is an irregular plural."""
     return f"{number} {thing if number == 1 else things or f'{thing}s'}"
 
 
 def format_ranges(frames: Sequence[int], counted_from: int) -> str:
-    """Write which frames, such as "3 to 7, 12"; the first frame has the number ``counted_from``."""
+    """Write frame numbers, such as "3 to 7, 12"; the first frame has the number ``counted_from``."""
     runs: list[list[int]] = []
     for n in frames:
         if runs and n == runs[-1][1] + 1:
@@ -234,17 +228,17 @@ def format_ranges(frames: Sequence[int], counted_from: int) -> str:
 
 
 _FORMULA_PATTERN = re.compile(r"'*[=+\-@\t\r\n]")
-"""Beginning of a text that gets an apostrophe; one that has some already gets one more, so that reading undoes it."""
+"""Start of a text that gets an apostrophe; leading apostrophes get one more, so that reading undoes it."""
 
 
 class CsvTable:
-    """A table that is being written into a text stream, opened with ``newline=""``."""
+    """A CSV table, written into a text stream that was opened with ``newline=""``."""
 
     def __init__(self, stream: TextIO) -> None:
         self._rows = csv.writer(stream)
 
     def write_row(self, cells: Iterable[object]) -> None:
-        """Add a row: texts so that none is a formula, numbers as they are."""
+        """Add a row: texts escaped against formulas, numbers unchanged."""
         self._rows.writerow([escape_cell(cell) if isinstance(cell, str) else cell for cell in cells])
 
     def write_rows(self, rows: Iterable[Iterable[object]]) -> None:
@@ -254,23 +248,23 @@ class CsvTable:
 
 
 def escape_cell(text: str) -> str:
-    """Write a text as a cell holds it."""
+    """Escape a text for a cell."""
     return f"'{text}" if _FORMULA_PATTERN.match(text) else text
 
 
 def unescape_cell(cell: str) -> str:
-    """Return the text of a cell that ``escape_cell`` wrote; other cells stay as they are."""
+    """Return the text of a cell that ``escape_cell`` wrote; other cells stay unchanged."""
     return cell[1:] if cell.startswith("'") and _FORMULA_PATTERN.match(cell) else cell
 
 
 def markdown_page(title: str, grid: Sequence[Sequence[str]], about: Sequence[str], words: int = 1) -> str:
-    """Write one table under a title, and how it was made; the first columns are ``words``, the others numbers."""
+    """Write a page: title, table (``words`` columns of words, then numbers), and how it was made."""
     lines = [f"# {title}", "", *markdown_table(grid, words), "", *(f"- {line}" for line in about)]
     return "\n".join(lines) + "\n"
 
 
 def markdown_table(grid: Sequence[Sequence[str]], words: int = 1) -> list[str]:
-    """Return the lines of a table, headings first; the first columns are ``words``, the others numbers."""
+    """Return the lines of a table, headings first: ``words`` columns of words, then numbers."""
     headings, *body = grid
     rule = [*["---"] * words, *["---:"] * (len(headings) - words)]
     escaped = ([cell.replace("|", "\\|") for cell in cells] for cells in (headings, rule, *body))

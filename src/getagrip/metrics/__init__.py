@@ -1,1 +1,1 @@
-"""How good a reconstruction is: masks, pose and contact. It cannot see the energy that was minimised."""
+"""Scores of a reconstruction: masks, pose and contact. They are independent of the minimised energy."""

@@ -1,23 +1,19 @@
-"""Contact of hand and object: where it is, how stable (SCA), and how deep they penetrate each other.
+"""Contact of hand and object: where it is, how stable (SCA), and the depth of penetration.
 
 Stable contact area: the mean, over pairs of frames i < j, of IOU(S_i, S_j), S_i the points in contact in frame i
 (paper, Sec. 5.2). A point is in contact where its signed distance to the other surface is at most a threshold; inside
-counts at any depth. Three sets of points are in use:
+it counts at any depth. There are three sets of points:
 
-- ``object``: the object's vertices, against the hand: the paper's;
-- ``hand``: the hand's vertices, against the object: the authors' later code's;
-- ``area``: points sampled evenly over the object's surface, against the hand: it does not depend on the triangulation
-  (a box has eight vertices, none of them in the grasp).
+- ``object``: the object's vertices, against the hand, as in the paper;
+- ``hand``: the hand's vertices, against the object, as in the authors' later code;
+- ``area``: points sampled evenly over the object's surface, against the hand, independent of the triangulation (a box
+  has eight vertices, none of them in the grasp).
 
-Two empty sets have IOU 0, as in the authors' code: a hand that never touches is not a stable grasp.
+Two empty sets have IOU 0, as in the authors' code: a hand that never touches is no stable grasp.
 
-Signed distances of points to a surface, at rest or moving: of hand and object to each other.
-
-Contact between a hand and an object with a new mesh in each frame, as systems without a CAD model reconstruct it.
-
-Stable contact area compares the points in contact in two frames, so they must be the same points. New meshes have no
-points in common; the hand has. So only the ``hand`` side of ``contact`` can be measured, and the other two where all
-meshes have the same faces: one mesh that moves or deforms.
+SCA compares equal points in two frames. An object with a new mesh in each frame, as systems without a CAD model
+reconstruct it, has no corresponding points: only the ``hand`` side can be measured. All sides can where the meshes
+share their faces: one mesh that moves or deforms.
 """
 
 from __future__ import annotations
@@ -40,10 +36,24 @@ from getagrip.metrics.pose import ObjectTrack
 from getagrip.metrics.symmetry import points_at_samples, surface_points, surface_samples
 
 MAX_SCENE_COORDINATE_M = 1e5
-"""No point of any scene is farther from its origin [m]."""
-MAX_CACHED_SURFACES = 64
-"""Most surfaces whose search trees are kept, of at most ``MAX_CACHED_SURFACE_FACES`` faces each: hands of the latest frames, 50 MB."""
-MAX_CACHED_SURFACE_FACES = 2000
+"""Maximum coordinate of any point of a scene [m]."""
+MAX_CACHED_SURFACES, MAX_CACHED_SURFACE_FACES = 64, 2000
+"""Maximum number of surfaces whose search trees are cached (the hands of the latest frames), and of a cached surface's
+faces: together 50 MB."""
+Side = Literal["object", "hand", "area"]
+CONTACT_SIDES: tuple[Side, ...] = get_args(Side)
+CONTACT_THRESHOLDS_M = (0.0, 0.005, 0.010)
+"""Contact thresholds of ``CONTACT_DEFINITIONS`` [m]."""
+MAX_SIGNED_DISTANCE_M = 0.011
+"""Signed distance up to which values are exact [m]; beyond, they may be infinite."""
+MAX_CONTACT_THRESHOLD_MM = 50.0
+"""Maximum threshold of a definition of contact [mm]."""
+N_AREA_SAMPLES = 2000
+_POINT_DESCRIPTIONS: dict[Side, str] = {
+    "object": "object vertices",
+    "hand": "hand vertices",
+    "area": "object points by area",
+}
 
 
 def signed_distance(
@@ -55,7 +65,7 @@ def signed_distance(
     """Compute the distance [m] of points to a surface, negative inside; beyond ``max_distance`` it may be infinite.
 
     Inside is where the winding number exceeds a half (Barill et al., "Fast Winding Numbers for Soups and Clouds",
-    2018): right also for bodies of several overlapping closed parts, where the nearest surface's normal misleads.
+    2018), which is right for bodies of overlapping closed parts, too, where the nearest surface's normal misleads.
     """
     return moving_distance(points[None], vertices[None], faces, max_distance)[0]
 
@@ -68,17 +78,15 @@ def moving_distance(
 ) -> Float[ndarray, "T P"]:
     """Compute ``signed_distance`` of moving points to a moving surface.
 
-    From frame to frame a distance changes by no more than the point and the surface have moved, and its sign changes
-    only where it passes zero. A distance that is thus known to be beyond ``max_distance``, or a side that is known to
-    be the same as before, is not computed again. Raises ``GetagripError`` for coordinates beyond all scenes, at which
-    libigl's search would run out of its memory.
+    From frame to frame a distance changes by at most the displacements of point and surface, and its sign changes only
+    at zero. Distances that are thus known to exceed ``max_distance``, and sides that are known to be unchanged, are not
+    computed again. Raises ``GetagripError`` for coordinates beyond all scenes, at which libigl would exhaust memory.
     """
     if not max(np.abs(points).max(initial=0.0), np.abs(vertices).max(initial=0.0)) < MAX_SCENE_COORDINATE_M:
-        raise GetagripError(
-            f"distances of points more than {MAX_SCENE_COORDINATE_M:g} m away, or of no number, are not computed"
-        )
+        limit = f"{MAX_SCENE_COORDINATE_M:g} m away, or of no number"
+        raise GetagripError(f"distances of points more than {limit}, are not computed")
 
-    closed = bool(np.all(edge_table(faces)[:, 3] < len(faces)))  # else one can get inside without crossing the surface
+    closed = bool(np.all(edge_table(faces)[:, 3] < len(faces)))  # an open surface can be entered without crossing it
     inside, least = np.zeros(points.shape[1], dtype=bool), np.full(points.shape[1], -np.inf)
     out = np.full(points.shape[:2], np.inf)
     moved = np.inf
@@ -90,7 +98,7 @@ def moving_distance(
         if moved > 0.0:
             here = _SearchSurface.of(surface, faces)
         sides = np.maximum(surface.min(axis=0) - x, x - surface.max(axis=0))
-        outside = np.maximum(np.maximum(sides[:, 0], sides[:, 1]), sides[:, 2])  # the bounding box, by so much
+        outside = np.maximum(np.maximum(sides[:, 0], sides[:, 1]), sides[:, 2])  # distance from the bounding box
         boxed = outside <= 0.0
         unsure = np.flatnonzero(boxed & ((least <= 0.0) | (not closed)))
         if unsure.size:
@@ -105,27 +113,25 @@ def moving_distance(
 
 @dataclass(frozen=True)
 class _SearchSurface:
-    """A surface at rest and its search trees, each made when it is first needed."""
+    """A static surface and its search trees, each made on first use."""
 
     vertices: Float[ndarray, "V 3"]
     faces: Int[ndarray, "F 3"]
 
     @staticmethod
     def of(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> _SearchSurface:
-        """Return a surface; results that are compared on a clip share those of its hand."""
+        """Return a surface, cached if it is small: results that are compared on a clip share its hand."""
         vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
-        return (
-            _cached_surface(vertices.tobytes(), faces.tobytes())
-            if len(faces) <= MAX_CACHED_SURFACE_FACES
-            else _SearchSurface(vertices, faces)
-        )
+        if len(faces) > MAX_CACHED_SURFACE_FACES:
+            return _SearchSurface(vertices, faces)
+        return _cached_surface(vertices.tobytes(), faces.tobytes())
 
     def distance(self, points: Float[ndarray, "P 3"]) -> Float[ndarray, "P"]:
-        """Compute the distance of points [m], without a sign."""
+        """Compute the unsigned distance of points [m]."""
         return np.sqrt(self._tree.squared_distance(self.vertices, self.faces, points)[0])
 
     def encloses(self, points: Float[ndarray, "P 3"]) -> Bool[ndarray, "P"]:
-        """Return the points inside, by their winding numbers."""
+        """Return whether points are inside, by their winding numbers."""
         return np.abs(self._winding.winding_number(points)) > 0.5
 
     @cached_property
@@ -156,7 +162,7 @@ atexit.register(_cached_surface.cache_clear)  # libigl's bindings report trees t
 def close_holes(
     vertices: Float[ndarray, "*batch V 3"], faces: Int[ndarray, "F 3"]
 ) -> tuple[Float[ndarray, "*batch W 3"], Int[ndarray, "G 3"]]:
-    """Close each hole (MANO's wrist) by a fan of faces about the mean of its border."""
+    """Close each hole, such as MANO's wrist, by a fan of faces about the mean of its border."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -167,7 +173,7 @@ def close_holes(
     V = vertices.shape[-2]
     linked = coo_array((np.ones(len(border)), (border[:, 0], border[:, 1])), shape=(V, V))
     _, hole = np.unique(connected_components(linked, directed=False)[1][border[:, 0]], return_inverse=True)
-    # A mean over each hole's border, of all holes at once: a triangle soup has as many holes as faces.
+    # The means of all borders at once: a triangle soup has as many holes as faces.
     around = coo_array((np.ones(len(border)), (hole, border[:, 0])), shape=(int(hole.max()) + 1, V)).tocsr()
     flat = np.moveaxis(vertices, -2, 0).reshape(V, -1)
     tips = (around @ flat / around.sum(axis=1)[:, None]).reshape(-1, *vertices.shape[:-2], 3)
@@ -176,29 +182,13 @@ def close_holes(
     return np.concatenate([vertices, tips], axis=-2), np.concatenate([faces, fan])
 
 
-Side = Literal["object", "hand", "area"]
-CONTACT_SIDES: tuple[Side, ...] = get_args(Side)
-CONTACT_THRESHOLDS_M = (0.0, 0.005, 0.010)
-"""Contact thresholds in use [m]."""
-MAX_SIGNED_DISTANCE_M = 0.011
-"""Signed distances are exact up to here [m]; beyond, they may be infinite."""
-MAX_CONTACT_THRESHOLD_MM = 50.0
-"""Largest threshold that anybody may ask for [mm]."""
-N_AREA_SAMPLES = 2000
-_POINT_DESCRIPTIONS: dict[Side, str] = {
-    "object": "object vertices",
-    "hand": "hand vertices",
-    "area": "object points by area",
-}
-
-
 @dataclass(frozen=True)
 class ContactDefinition:
-    """A definition of contact: the points that count, and their distance.
+    """A definition of contact: points and a distance.
 
     Attributes:
-        side: whose points are tested: a field of ``ContactDistances``.
-        threshold: largest signed distance to the other surface [m].
+        side: the tested points, a field of ``ContactDistances``.
+        threshold: maximum signed distance to the other surface [m].
     """
 
     side: Side
@@ -214,17 +204,17 @@ class ContactDefinition:
 
     @property
     def key(self) -> str:
-        """Its part of the key of a metric: ``object_10mm``."""
+        """The definition's part of a metric's key: ``object_10mm``."""
         return f"{self.side}_{1e3 * self.threshold:g}mm"
 
     @property
     def description(self) -> str:
-        """In a sentence: "object vertices within 10 mm"."""
+        """The definition in words: "object vertices within 10 mm"."""
         return f"{_POINT_DESCRIPTIONS[self.side]} within {self.distance}"
 
 
 def contact_definitions_at(thresholds: Sequence[float]) -> tuple[ContactDefinition, ...]:
-    """Return the paper's definition, by object vertices, at thresholds of 0 to 50 mm.
+    """Return the paper's definition, by object vertices, at thresholds of 0 to ``MAX_CONTACT_THRESHOLD_MM``.
 
     Raises ``UsageError`` for others.
     """
@@ -237,12 +227,12 @@ def contact_definitions_at(thresholds: Sequence[float]) -> tuple[ContactDefiniti
 CONTACT_DEFINITIONS = tuple(
     ContactDefinition(side, threshold) for side in CONTACT_SIDES for threshold in CONTACT_THRESHOLDS_M
 )
-"""All that are evaluated."""
+"""All definitions that are evaluated by default."""
 
 
 @dataclass(frozen=True)
 class ContactDistances:
-    """Signed distances [m] between hand and object in each frame, negative inside; exact up to ``MAX_SIGNED_DISTANCE_M``.
+    """Signed distances [m] of hand and object in each frame, negative inside; exact to ``MAX_SIGNED_DISTANCE_M``.
 
     Attributes:
         object: (T, Vo) object vertices to the hand.
@@ -255,16 +245,16 @@ class ContactDistances:
     area: Float[ndarray, "T P"]
 
     def take(self, index: Int[ndarray, "n"]) -> ContactDistances:
-        """Return those of some of the frames."""
+        """Return the distances of some frames."""
         return ContactDistances(self.object[index], self.hand[index], self.area[index])
 
     def contact(self, side: Side, threshold: float) -> Bool[ndarray, "T _"]:
-        """Return the points in contact: signed distance at most ``threshold`` [m]."""
+        """Return whether points are in contact: signed distance at most ``threshold`` [m]."""
         distance: ndarray = getattr(self, side)
         return distance <= threshold
 
     def depth(self, side: Side) -> Float[ndarray, "T _"]:
-        """Return the depth [m] of each point inside the other body; zero outside."""
+        """Return each point's depth inside the other body [m]; zero outside."""
         distance: ndarray = getattr(self, side)
         return np.maximum(-distance, 0.0)
 
@@ -278,7 +268,7 @@ def contact_distances(
 ) -> list[ContactDistances]:
     """Compute distances between an object and a hand (in the hand frame), both ways, for each track of the object.
 
-    They are exact up to ``max_distance`` [m]. Holes of the hand are closed first. Tracks share the hand's search trees.
+    They are exact up to ``max_distance`` [m]. The hand's holes are closed. Tracks share the hand's search trees.
     """
     points = np.concatenate([mesh.vertices, surface_points(mesh, N_AREA_SAMPLES)])
     V, P = len(mesh.vertices), len(points)
@@ -295,12 +285,12 @@ def contact_distances(
 
 @dataclass(frozen=True)
 class StableContact:
-    """How stable contact is, by one definition of it.
+    """The stability of contact by one definition.
 
     Attributes:
         sca: stable contact area: mean over pairs of different frames.
-        diagonal: the same with each frame paired with itself, too.
-        share: (T,) share of the points in contact, in each frame.
+        diagonal: the mean over all pairs, including each frame with itself.
+        share: (T,) fraction of points in contact, in each frame.
     """
 
     sca: float
@@ -318,7 +308,7 @@ def stable_contact(distances: ContactDistances, definition: ContactDefinition) -
 
 
 def pairwise_iou(contact: Bool[ndarray, "T P"]) -> Float[ndarray, "T T"]:
-    """Compute the IOU of the contact sets of every pair of frames; 0 for empty sets, also of one with itself."""
+    """Compute the IOU of the contact sets of every pair of frames; 0 for two empty sets, even of the same frame."""
     bits = np.packbits(contact, axis=1)
     both = np.stack([np.bitwise_count(bits & row).sum(axis=1, dtype=float) for row in bits])
     count = np.diag(both)
@@ -329,8 +319,8 @@ def pairwise_iou(contact: Bool[ndarray, "T P"]) -> Float[ndarray, "T T"]:
 def stable_contact_area(overlap: Float[ndarray, "T T"], diagonal: bool = False) -> float:
     """Compute SCA from the pairwise IOU: the mean over pairs i < j (the paper's), or over the full T x T matrix.
 
-    With the diagonal (the authors' code) each frame also counts with itself: never overlapping contacts then score
-    1 / T. NaN where there is no pair.
+    With the diagonal (the authors' code) each frame is paired with itself, too: contacts that never overlap then score
+    1 / T. NaN without any pair.
     """
     if diagonal:
         return float(overlap.mean())
@@ -341,20 +331,20 @@ def stable_contact_area(overlap: Float[ndarray, "T T"], diagonal: bool = False) 
 def mesh_distances(
     meshes: Sequence[Mesh | None], hand_vertices: Float[ndarray, "T V 3"], hand_faces: Int[ndarray, "F 3"]
 ) -> tuple[ContactDistances, tuple[Side, ...]]:
-    """Compute distances between the mesh of each frame and a hand, both in the hand frame, and the comparable sides.
+    """Compute distances between each frame's mesh and a hand, both in the hand frame; also return comparable sides.
 
-    In a frame without a mesh all distances are infinite. Where meshes have different numbers of vertices, ``object`` is
-    padded with infinite distances; ``area`` has no points where sides cannot be compared.
+    Frames without a mesh have infinite distances. Where the numbers of vertices differ, ``object`` is padded with
+    infinite distances; where sides are not comparable, ``area`` has no points.
     """
-    there = [mesh for mesh in meshes if mesh is not None]
-    same = bool(there) and all(np.array_equal(mesh.faces, there[0].faces) for mesh in there)
-    face, along = (
-        surface_samples(there[0], N_AREA_SAMPLES if same else 0) if there else (np.zeros(0, int), np.zeros((0, 2)))
-    )
+    known = [mesh for mesh in meshes if mesh is not None]
+    same = bool(known) and all(np.array_equal(mesh.faces, known[0].faces) for mesh in known)
+    face, along = np.zeros(0, int), np.zeros((0, 2))
+    if known:
+        face, along = surface_samples(known[0], N_AREA_SAMPLES if same else 0)
     hands, faces = close_holes(hand_vertices, hand_faces)
     T = len(meshes)
     out = ContactDistances(
-        object=np.full((T, max((len(mesh.vertices) for mesh in there), default=1)), np.inf),
+        object=np.full((T, max((len(mesh.vertices) for mesh in known), default=1)), np.inf),
         hand=np.full((T, hand_vertices.shape[1]), np.inf),
         area=np.full((T, len(face)), np.inf),
     )

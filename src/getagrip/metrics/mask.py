@@ -1,7 +1,7 @@
-"""Intersection over union of the predicted and the observed object mask, over the valid pixels.
+"""Intersection over union (IOU) of the predicted and the observed object mask, outside ignored pixels.
 
-The prediction is rendered by the z-buffer of ``geometry.kernels.depth`` and not by the silhouettes that the fit uses, so that a
-score cannot share the objective's mistakes.
+The prediction is rendered by the z-buffer of ``geometry.kernels.depth``, not by the silhouettes of the fit, so that a
+score cannot share the objective's errors.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ class MaskIou:
     """IOU of each frame; NaN where no pixel of the object is observed.
 
     Attributes:
-        crop: (T,) in 256 x 256 crops, 1.8 times the largest mask, around each observed mask: the paper's.
-        soft: (T,) the same with partly covered pixels counted in part, as the authors' code does: sum p r / sum min(p +
-            r, 1).
-        full: (T,) on the whole image, so that a prediction outside the crop counts, too.
+        crop: (T,) in 256 x 256 crops, 1.8 times the largest mask, around each observed mask, as in the paper.
+        soft: (T,) as ``crop``, with pixels counted by their covered fraction, as in the authors' code: sum p r / sum
+            min(p + r, 1).
+        full: (T,) in the whole image, which includes predictions outside the crop.
     """
 
     crop: Float[ndarray, "T"]
@@ -39,21 +39,21 @@ class MaskIou:
 
 
 def _render_mask(mesh: Mesh | None, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
-    """Pixels whose centre a mesh in the camera frame covers; none where there is no mesh."""
+    """Pixels whose centre is covered by a mesh in the camera frame; none without a mesh."""
     from getagrip.geometry.rasterize import render_coverage
 
     return np.zeros(size[::-1], dtype=bool) if mesh is None else render_coverage(mesh.vertices, mesh.faces, K, size)
 
 
 def iou(predicted: Bool[ndarray, "H W"], observed: Bool[ndarray, "H W"], ignore: Bool[ndarray, "H W"]) -> float:
-    """Compute the intersection over union outside ignored pixels; NaN where both masks are empty there."""
+    """Compute the intersection over union outside ignored pixels; NaN where both masks are empty."""
     both = np.count_nonzero(predicted & observed & ~ignore)
     either = np.count_nonzero((predicted | observed) & ~ignore)
     return both / either if either else float("nan")
 
 
 def soft_iou(fine: Bool[ndarray, "H2 W2"], observed: Bool[ndarray, "H W"], ignore: Bool[ndarray, "H W"]) -> float:
-    """Compute the IOU with pixels covered by a share p of their four parts: sum p r / sum min(p + r, 1)."""
+    """Compute the IOU with pixels whose covered fraction p counts quarters: sum p r / sum min(p + r, 1)."""
     parts = fine.view(np.uint8)
     quarters = (parts[::2, ::2] + parts[::2, 1::2] + parts[1::2, ::2] + parts[1::2, 1::2]) * ~ignore
     r = observed & ~ignore
@@ -65,16 +65,13 @@ def soft_iou(fine: Bool[ndarray, "H2 W2"], observed: Bool[ndarray, "H W"], ignor
 def iou_of_poses(
     mesh: Mesh, scale: float, T_cam_obj: Float[ndarray, "T 4 4"], K: Float[ndarray, "T 3 3"], masks: Masks
 ) -> MaskIou:
-    """Compute the IOU of a posed object with the observed masks, frame by frame."""
+    """Compute the IOU of a posed object with the observed masks, per frame."""
     posed = [Mesh(se3.transform(T, scale * mesh.vertices), mesh.faces) for T in T_cam_obj]
     return iou_of_meshes(posed, K, masks)
 
 
 def iou_of_meshes(meshes: Sequence[Mesh | None], K: Float[ndarray, "T 3 3"], masks: Masks) -> MaskIou:
-    """Compute the IOU of a mesh for each frame, in the camera frame, with the observed masks.
-
-    0 where there is no mesh.
-    """
+    """Compute the IOU of each frame's mesh, in the camera frame, with the observed mask; 0 without a mesh."""
     T, H, W = masks.object.shape
     out = MaskIou(*np.full((3, T), np.nan))
     frames = np.flatnonzero(masks.observed)
@@ -84,7 +81,7 @@ def iou_of_meshes(meshes: Sequence[Mesh | None], K: Float[ndarray, "T 3 3"], mas
     observed = crops.resample(masks.object[frames], outside=False)
     ignore = crops.resample(masks.ignore[frames], outside=True)
     once = crops.intrinsics(K[frames])
-    twice = np.array([2.0, 2.0, 1.0])[:, None] * once  # twice as many pixels each way
+    twice = np.array([2.0, 2.0, 1.0])[:, None] * once  # double resolution
     for i, n in enumerate(frames):
         mesh = meshes[int(n)]
         out.full[n] = iou(_render_mask(mesh, K[n], (W, H)), masks.object[n], masks.ignore[n])

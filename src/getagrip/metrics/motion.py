@@ -1,7 +1,7 @@
 """ARCTIC's metrics of motion (Fan et al., CVPR 2023, Sec. 5): contact deviation, motion deviation and acceleration.
 
-They compare corresponding vertices of hand and object in the camera frame, so that the predicted hand must have the
-true hand's vertices. ARCTIC's code measures distances from vertex to vertex, without symmetries; so does this.
+They compare corresponding vertices of hand and object in the camera frame: the predicted hand must have the vertices of
+the true hand. Distances are from vertex to vertex, without symmetries, as in ARCTIC's code.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 
 ARCTIC_CONTACT_DISTANCE_M = 3e-3
-"""Vertices nearer than this are in contact [m]."""
+"""Distance below which vertices are in contact [m]."""
 MIN_CONTACT_WINDOW_S = 0.5
-"""Duration of the shortest window of stable contact [s]: 15 frames of ARCTIC's."""
+"""Minimum duration of a window of stable contact [s]: 15 frames of ARCTIC."""
 VERTEX_SUCCESS_FRACTION = 0.05
-"""A vertex is right when its error, relative to the object's middle, is below this share of the diameter."""
+"""Error, relative to the object's middle, below which a vertex is right [diameters]."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class ContactPairs:
     """The nearest vertex of the true object for each vertex of the true hand.
 
     Attributes:
-        nearest: (T, Vh) its index.
-        distance: (T, Vh) its distance [m].
+        nearest: (T, Vh) index of the object's vertex.
+        distance: (T, Vh) distance [m].
     """
 
     nearest: Int[ndarray, "T Vh"]
@@ -37,21 +37,21 @@ class ContactPairs:
 
     @staticmethod
     def of(hand: Float[ndarray, "T Vh 3"], object_: Float[ndarray, "T Vo 3"]) -> ContactPairs:
-        """Find them in each frame, in any common frame of reference [m]."""
+        """Find the nearest vertices in each frame, in any common frame of reference [m]."""
         found = [KDTree(o).query(h, distance_upper_bound=np.inf) for h, o in zip(hand, object_, strict=True)]
         distance, nearest = (np.stack(part) for part in zip(*found, strict=True))
         return ContactPairs(nearest, distance)
 
     @property
     def touching(self) -> Bool[ndarray, "T Vh"]:
-        """The vertices of the hand in contact."""
+        """True for the hand's vertices in contact."""
         return self.distance < ARCTIC_CONTACT_DISTANCE_M
 
 
 def contact_deviation(
     pairs: ContactPairs, hand: Float[ndarray, "T Vh 3"], object_: Float[ndarray, "T Vo 3"]
 ) -> Float[ndarray, "T"]:
-    """Compute the mean distance of the vertices that truly touch, as predicted [m] (CDev); NaN where none touches."""
+    """Compute the mean predicted distance of the vertices in true contact [m] (CDev); NaN without contact."""
     partner = np.take_along_axis(object_, pairs.nearest[..., None], axis=1)
     distance = np.where(pairs.touching, np.linalg.norm(hand - partner, axis=-1), 0.0)
     count = pairs.touching.sum(axis=1)
@@ -65,11 +65,12 @@ def motion_deviation(
     object_: Float[ndarray, "T Vo 3"],
     time: Float[ndarray, "T"],
 ) -> float:
-    """Compute how differently two vertices in stable contact move from frame to frame, as predicted [m] (MDev).
+    """Compute the relative motion, between frames, of two predicted vertices in stable contact [m] (MDev).
 
-    Mean over the windows in which a vertex of the hand truly touches for ``MIN_CONTACT_WINDOW_S`` without sliding: the vertices
-    nearest to it, in the object's own frame (``rigid``), are ``ARCTIC_CONTACT_DISTANCE_M`` apart on average. NaN where there is none.
-    Unlike in ARCTIC's code, a window may begin with the clip's first frame or end with its last: a stable grasp does.
+    It is the mean over windows in which a vertex of the hand is truly in contact for ``MIN_CONTACT_WINDOW_S`` without
+    sliding: its nearest vertices, in the object's own frame (``rigid``), are at most ``ARCTIC_CONTACT_DISTANCE_M``
+    apart on average. NaN without such a window. Unlike in ARCTIC's code, a window may begin with the clip's first frame
+    or end with its last, as a stable grasp does.
     """
     deviations = []
     for first, last, i in _windows(pairs.touching, time):
@@ -83,7 +84,7 @@ def motion_deviation(
 
 
 def _windows(touching: Bool[ndarray, "T Vh"], time: Float[ndarray, "T"]) -> Iterator[tuple[int, int, int]]:
-    """Yield first frame, last frame and vertex of every long enough window of uninterrupted contact."""
+    """Yield first frame, last frame and vertex of every window of uninterrupted contact of sufficient duration."""
     if len(time) < 2:
         return
     frame = float(np.median(np.diff(time)))
@@ -97,9 +98,9 @@ def _windows(touching: Bool[ndarray, "T Vh"], time: Float[ndarray, "T"]) -> Iter
 def acceleration_error(
     predicted: Float[ndarray, "T V 3"], true: Float[ndarray, "T V 3"], time: Float[ndarray, "T"]
 ) -> Float[ndarray, "T"]:
-    """Compute the mean error of the vertices' acceleration relative to their middle [m/s^2] (ACC), by frame.
+    """Compute the mean error of the vertices' acceleration relative to their middle [m/s^2] (ACC), per frame.
 
-    NaN in the first and last frame, and where the frames before and after are not equally far.
+    NaN in the first and last frame, and where the intervals to the previous and next frame differ.
     """
     out, step = np.full(len(true), np.nan), np.diff(time)
     error = (predicted - predicted.mean(axis=1, keepdims=True)) - (true - true.mean(axis=1, keepdims=True))
@@ -113,7 +114,7 @@ def root_error(
     predicted: tuple[Float[ndarray, "T Vh 3"], Float[ndarray, "T Vo 3"]],
     true: tuple[Float[ndarray, "T Vh 3"], Float[ndarray, "T Vo 3"]],
 ) -> Float[ndarray, "T"]:
-    """Compute the error of the vector from the hand's middle to the object's [m] (MRRPE)."""
+    """Compute the error of the vector from the hand's to the object's middle [m] (MRRPE)."""
     arms = [object_.mean(axis=1) - hand.mean(axis=1) for hand, object_ in (predicted, true)]
     return np.asarray(np.linalg.norm(arms[0] - arms[1], axis=1))
 
@@ -121,6 +122,6 @@ def root_error(
 def vertex_success(
     predicted: Float[ndarray, "T V 3"], true: Float[ndarray, "T V 3"], diameter: float
 ) -> Float[ndarray, "T"]:
-    """Compute the share of the object's vertices that are right relative to its middle (ARCTIC's success rate)."""
+    """Compute the fraction of right vertices of the object, relative to its middle (ARCTIC's success rate)."""
     error = (predicted - predicted.mean(axis=1, keepdims=True)) - (true - true.mean(axis=1, keepdims=True))
     return np.asarray((np.linalg.norm(error, axis=-1) < VERTEX_SUCCESS_FRACTION * diameter).mean(axis=1))

@@ -1,14 +1,12 @@
-"""Errors of the object's pose in the hand or in the camera: ADD, rotation and translation, up to its symmetries.
+"""Errors of the object's pose in the hand or in the camera, and recalls over thresholds.
 
-BOP's visible surface discrepancy (VSD; Hodan et al., ECCV 2018 and ECCVW 2020): depth of two poses before a scene.
+``PoseErrors``: ADD, rotation and translation, up to the object's symmetries.
 
-Where the depth image has no value, surfaces count as visible ("bop19"). Distances are along rays from the camera.
-
-Recalls over thresholds: areas under curves of ADD and ADD-S, and BOP's average recalls of MSSD and MSPD.
-
-In each frame, of poses in the camera. AUC is as in YCB-Video (PoseCNN), up to 10 cm, by the exact area; MSSD and MSPD
-are BOP's (Hodan et al., ECCVW 2020), the least over the object's symmetries of the largest distance of its vertices, in
-space and in the image.
+All others are of poses in the camera, per frame. Areas under the curves of ADD and ADD-S follow YCB-Video
+(PoseCNN), up to 10 cm, by exact integration. BOP's MSSD and MSPD (Hodan et al., ECCVW 2020) are the maximum distance of
+the object's vertices, in space and in the image, minimised over its symmetries. BOP's visible surface discrepancy (VSD;
+Hodan et al., ECCV 2018 and ECCVW 2020) compares depth images of two poses in a scene; pixels without depth count as
+visible ("bop19"), and distances are along rays from the camera.
 """
 
 from __future__ import annotations
@@ -27,29 +25,46 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.symmetry import Symmetries
 
 ADD_SUCCESS_FRACTION = 0.1
-"""A pose is right when its ADD is below this share of the true object's diameter."""
+"""ADD below which a pose is right [true diameters]."""
 N_AXIS_ANGLES = 36
-"""Sampled angles about a continuous axis; the best one is then refined."""
+"""Number of sampled angles about a continuous axis; the best one is refined."""
 N_BALL_ROTATIONS = 500
-"""Sampled rotations of a ball."""
+"""Number of sampled rotations of a ball."""
 N_SYMMETRY_VERTICES = 500
-"""Vertices that choose among symmetries; all of them count in the error that is reported."""
+"""Number of vertices by which a symmetry is chosen; reported errors include all vertices."""
+VSD_TOLERANCES = np.arange(1, 11) * 0.05
+"""Tolerances of misalignment [diameters], which are the thresholds of the recall, too."""
+VSD_VISIBILITY_TOLERANCE_M = 0.015
+"""Maximum distance behind the scene's surface at which a surface is visible [m]."""
+Image = Float[ndarray, "h w"]
+MAX_AUC_ERROR_M = 0.10
+"""Maximum threshold of the areas under curves [m]."""
+MSSD_THRESHOLDS = np.arange(1, 11) * 0.05
+"""BOP's thresholds of MSSD [diameters]."""
+MSPD_THRESHOLDS_PX = np.arange(1, 11) * 5.0
+"""BOP's thresholds of MSPD [px of an image 640 px wide]."""
+N_RECALL_AXIS_ANGLES = 72
+"""Number of angles about a continuous axis."""
+N_RECALL_BALL_ROTATIONS = 500
+"""Number of rotations of a ball."""
+MAX_RECALL_VERTICES = 2000
+"""Maximum number of vertices whose nearest vertex is searched."""
 
 
 @dataclass(frozen=True)
 class ObjectTrack:
-    """Poses of an object, predicted or true, and its scale.
+    """Predicted or true poses of an object, and its scale.
 
     Attributes:
-        T_ref_obj: (T, 4, 4) in a frame of reference, the hand's or the camera's: tracks are compared in the same one.
-        scale: of the object.
+        T_ref_obj: (T, 4, 4) poses in a frame of reference, the hand's or the camera's; compared tracks share it.
+        scale: scale of the object.
     """
 
     T_ref_obj: Float[ndarray, "T 4 4"]
     scale: float
 
     def placed(self, points: Float[ndarray, "P 3"]) -> Float[ndarray, "T P 3"]:
-        """Return points of the object's own frame in the frame of reference [m]."""
+        """Transform points from the object's own frame to the frame of reference [m]."""
         return np.asarray(se3.transform(self.T_ref_obj, self.scale * points))
 
 
@@ -61,7 +76,7 @@ class PoseErrors:
         add: (T,) mean distance between corresponding vertices, each object at its own scale [m].
         rotation: (T,) angle between the rotations [rad].
         translation: (T,) distance between the objects' centres (middles of the bounding box) [m].
-        diameter: of the true object, at its true scale [m].
+        diameter: diameter of the true object at its true scale [m].
     """
 
     add: Float[ndarray, "T"]
@@ -83,10 +98,7 @@ class PoseErrors:
 def pose_errors(
     mesh: Mesh, predicted: ObjectTrack, true: ObjectTrack, symmetry: Float[ndarray, "4 4"] | None = None
 ) -> PoseErrors:
-    """Compute the errors of a prediction.
-
-    ``symmetry``, a map of the unscaled object onto itself, applies to the true one.
-    """
+    """Compute the errors of a prediction; ``symmetry``, a map of the unscaled object to itself, moves the true pose."""
     S = np.eye(4) if symmetry is None else symmetry
     A, b = _displacement_map(predicted, true, S)
     add = np.stack([np.linalg.norm(mesh.vertices @ M.T + c, axis=1).mean() for M, c in zip(A, b, strict=True)])
@@ -101,10 +113,10 @@ def pose_errors(
 def best_symmetry(
     mesh: Mesh, predicted: ObjectTrack, true: ObjectTrack, symmetries: Symmetries
 ) -> Float[ndarray, "4 4"]:
-    """Return the symmetry with the smallest ADD over the whole sequence: one for all frames, as in BOP and HOT3D.
+    """Find the symmetry with the least ADD over the whole sequence: one for all frames, as in BOP and HOT3D.
 
-    Continuous rotations are sampled (36 angles; 500 rotations of a ball) and the best sample is refined by a simplex
-    search, so that sampling adds no error.
+    Continuous rotations are sampled (36 angles; 500 rotations of a ball), and a simplex search refines the best sample,
+    so that sampling causes no error.
     """
     vertices = mesh.vertices[:: max(1, len(mesh.vertices) // N_SYMMETRY_VERTICES)]
 
@@ -135,31 +147,22 @@ def best_symmetry(
 def _displacement_map(
     predicted: ObjectTrack, true: ObjectTrack, S: Float[ndarray, "4 4"]
 ) -> tuple[Float[ndarray, "T 3 3"], Float[ndarray, "T 3"]]:
-    """Return (A, b) with A x + b the displacement [m], in the frame of reference, of the unscaled object point x."""
+    """Displacement A x + b of the unscaled object's point x, in the frame of reference [m]: return (A, b)."""
     P, Q = predicted.T_ref_obj, true.T_ref_obj
     A = predicted.scale * P[:, :3, :3] - true.scale * Q[:, :3, :3] @ S[:3, :3]
     return A, P[:, :3, 3] - Q[:, :3, 3] - true.scale * Q[:, :3, :3] @ S[:3, 3]
 
 
-VSD_TOLERANCES = np.arange(1, 11) * 0.05
-"""Tolerances of misalignment, in diameters; and the thresholds of the recall."""
-VSD_VISIBILITY_TOLERANCE_M = 0.015
-"""A surface is visible up to so far behind the scene's [m]."""
-
-Image = Float[ndarray, "h w"]
-
-
 def ray_lengths(K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Image:
-    """Return the lengths of rays to the plane at depth 1, through the centres of the pixels of a (width, height)."""
+    """Compute the lengths of rays through pixel centres to the plane at depth 1; ``size`` is (width, height) [px]."""
     x, y = ((np.arange(n) + 0.5 - K[axis, 2]) / K[axis, axis] for axis, n in enumerate(size))
     return np.asarray(np.sqrt(1.0 + x**2 + (y**2)[:, None]))
 
 
 def discrepancy(predicted: Image, true: Image, scene: Image, tolerances: Float[ndarray, "k"]) -> Float[ndarray, "k"]:
-    """Compute the share of the visible surface that is misaligned, for each tolerance [m].
+    """Compute the misaligned fraction of the visible surface, for each tolerance [m]; 1 if nothing is visible.
 
-    All are distances from the camera [m], of the object in both poses and of the scene; 0 where there is none. The
-    result is 1 where nothing is visible.
+    Images are distances from the camera [m], of the object in both poses and of the scene; 0 where unknown.
     """
     in_front = (predicted > 0.0), (true > 0.0)
     seen = [
@@ -176,37 +179,23 @@ def discrepancy(predicted: Image, true: Image, scene: Image, tolerances: Float[n
 
 
 def vsd_recall(errors: Float[ndarray, "k"]) -> float:
-    """Compute the mean recall over tolerances and thresholds."""
+    """Compute the mean recall of VSD over tolerances and thresholds."""
     return float((errors[:, None] < VSD_TOLERANCES).mean())
 
 
-MAX_AUC_ERROR_M = 0.10
-"""Largest threshold of the areas under curves [m]."""
-MSSD_THRESHOLDS = np.arange(1, 11) * 0.05
-"""BOP's thresholds of MSSD, in diameters."""
-MSPD_THRESHOLDS_PX = np.arange(1, 11) * 5.0
-"""BOP's thresholds of MSPD [px], in images 640 px wide."""
-N_RECALL_AXIS_ANGLES = 72
-"""Angles about a continuous axis."""
-N_RECALL_BALL_ROTATIONS = 500
-"""Rotations of a ball."""
-MAX_RECALL_VERTICES = 2000
-"""Most vertices whose nearest one is looked for."""
-
-
 def nearest_add(predicted: Float[ndarray, "T V 3"], true: Float[ndarray, "T V 3"]) -> Float[ndarray, "T"]:
-    """Compute the mean distance of the true vertices to the nearest predicted ones (ADD-S) [m]."""
+    """Compute the mean distance of the true vertices from the nearest predicted ones (ADD-S) [m]."""
     some = true[:, :: -(-true.shape[1] // MAX_RECALL_VERTICES)]
     return np.array([KDTree(p).query(t)[0].mean() for p, t in zip(predicted, some, strict=True)])
 
 
 def area_under_curve(error: Float[ndarray, "T"]) -> Float[ndarray, "T"]:
-    """Compute what each frame adds to the area under the curve of recall by threshold, 0 to ``MAX_AUC_ERROR_M``, as a share."""
+    """Compute each frame's part of the area under the curve of recall over thresholds, 0 to ``MAX_AUC_ERROR_M``."""
     return np.clip(1.0 - error / MAX_AUC_ERROR_M, 0.0, 1.0)
 
 
 def all_symmetries(symmetries: Symmetries) -> Float[ndarray, "S 4 4"]:
-    """Return every symmetry, those about continuous axes at even angles."""
+    """Return all symmetries, with even angles about continuous axes."""
     free = len(symmetries.axes)
     if free == 0:
         return symmetries.elements
@@ -217,13 +206,13 @@ def all_symmetries(symmetries: Symmetries) -> Float[ndarray, "S 4 4"]:
 
 @dataclass(frozen=True)
 class SymmetricErrors:
-    """A predicted and a true object, whose errors are the least over its symmetries.
+    """Errors of a predicted object, minimised over its symmetries.
 
     Attributes:
-        predicted, true: the poses in the camera.
-        hull: (H, 3) vertices of the mesh's convex hull [m]: one of them moves the farthest, in space always and in the
-            image nearly always.
-        symmetries: (S, 4, 4) as of ``all_symmetries``.
+        predicted, true: poses in the camera.
+        hull: (H, 3) vertices of the mesh's convex hull [m]: one of them has the maximum distance, always in space and
+            nearly always in the image.
+        symmetries: (S, 4, 4) as from ``all_symmetries``.
     """
 
     predicted: ObjectTrack
@@ -233,7 +222,7 @@ class SymmetricErrors:
 
     @staticmethod
     def of(mesh: Mesh, predicted: ObjectTrack, true: ObjectTrack, symmetries: Symmetries) -> SymmetricErrors:
-        """Make them of a mesh."""
+        """Make the errors of a mesh's poses."""
         hull = mesh.vertices[ConvexHull(mesh.vertices, qhull_options="QJ").vertices]
         return SymmetricErrors(predicted, true, hull, all_symmetries(symmetries))
 
@@ -255,5 +244,5 @@ class SymmetricErrors:
 
 
 def recall_at_thresholds(error: Float[ndarray, "T"], thresholds: Float[ndarray, "k"]) -> Float[ndarray, "T"]:
-    """Compute the share of the thresholds that each frame's error is below."""
+    """Compute the fraction of thresholds above each frame's error."""
     return np.asarray((error[:, None] < thresholds).mean(axis=1))

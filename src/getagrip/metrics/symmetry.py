@@ -1,9 +1,9 @@
-"""The rotations that map an object onto itself, found from its surface. Mirrorings do not count.
+"""The rotations that map an object onto itself, found from its surface; reflections are excluded.
 
-A rotation T is a symmetry when points sampled evenly over the surface, rotated by T, lie on the surface again: at most
-``MAX_MEAN_SYMMETRY_DISTANCE`` of the diameter away in the mean and ``MAX_SYMMETRY_DISTANCE`` at the worst. The second bound keeps a handle or a spout, a
-few per cent of the area, from going unnoticed. Candidates are rotations about the principal axes of the surface (and
-about more axes where those are not unique), each refined by a few steps of point-to-plane ICP.
+A rotation T is a symmetry if points sampled evenly over the surface, rotated by T, lie on the surface: on average at
+most ``MAX_MEAN_SYMMETRY_DISTANCE`` and nowhere more than ``MAX_SYMMETRY_DISTANCE`` away. The second bound detects a
+handle or a spout, a few per cent of the area. Candidates are rotations about the principal axes of the surface (and
+about more axes where these are not unique), each refined by a few steps of point-to-plane ICP.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, decimate, face_areas
 
 MAX_MEAN_SYMMETRY_DISTANCE, MAX_SYMMETRY_DISTANCE = 0.015, 0.06
-"""Largest mean and largest single distance between the rotated and the resting surface [diameters]."""
+"""Maximum mean and maximum distance between the rotated and the original surface [diameters]."""
 ROTATION_ORDERS = (2, 3, 4, 5, 6)
-"""Orders of the discrete rotations that are tried: 180, 120, 90, 72 and 60 degrees."""
+"""Tried orders of discrete rotations: 180, 120, 90, 72 and 60 degrees."""
 CONTINUOUS_AXIS_ANGLES_RAD = np.radians([17.0, 40.0, 73.0, 101.0, 139.0, 180.0])
-"""An axis about which all these rotations are symmetries is continuous [rad]."""
+"""Rotations that are all symmetries about a continuous axis [rad]."""
 AXIS_MOMENT_RATIO = 1.25
-"""Principal axes whose second moments are within this factor of each other are not unique."""
+"""Ratio of second moments up to which principal axes are not unique."""
 DUPLICATE_SYMMETRY_ANGLE_RAD = np.radians(10.0)
-"""Turns closer than this are the same symmetry; none is fitted further away from its candidate [rad]."""
+"""Angle below which rotations are one symmetry, and maximum correction of a candidate [rad]."""
 N_SYMMETRY_POINTS, MAX_SYMMETRY_FACES = 600, 2000
-"""Points that are rotated, and faces of the mesh they are compared with."""
+"""Number of rotated points, and maximum number of faces of the mesh to which they are compared."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Symmetries:
     """All symmetries of an object: ``about(angles) @ elements[i]``, maps of its own frame (before scaling).
 
     Attributes:
-        elements: (S, 4, 4) discrete rotations, the identity first.
+        elements: (S, 4, 4) discrete rotations, first the identity.
         axes: (k, 3) unit axes of continuous rotations: none, one, or three for a ball.
         centre: (3,) a point on all axes [m].
     """
@@ -62,7 +62,7 @@ class Symmetries:
 
 
 def find_symmetries(mesh: Mesh) -> Symmetries:
-    """Find the symmetries of a mesh, once for all clips that hold it; at least the identity."""
+    """Find the symmetries of a mesh, at least the identity; cached, since clips share meshes."""
     return _cached_symmetries(mesh.vertices.tobytes(), mesh.faces.tobytes())
 
 
@@ -80,7 +80,7 @@ def _cached_symmetries(vertices: bytes, faces: bytes) -> Symmetries:
         if (symmetry := surface.refined(half)) is None or (line := _continuous_axis(surface, centre, symmetry)) is None:
             continue
         first = first or line
-        if abs(line[1] @ first[1]) < np.cos(np.radians(30.0)):  # two axes make all of them
+        if abs(line[1] @ first[1]) < np.cos(np.radians(30.0)):  # two axes generate all rotations
             return Symmetries(np.eye(4)[None], np.eye(3), centre)
     if first is not None:
         point, axis = first
@@ -92,14 +92,14 @@ def _cached_symmetries(vertices: bytes, faces: bytes) -> Symmetries:
     for order in ROTATION_ORDERS:
         for T in halves if order == 2 else surface.promising(_rotations(centre, lines, 2.0 * np.pi / order)):
             _add_symmetry(elements, T, surface)
-    for a in elements:  # grows while it runs: what two symmetries make together is one, if it passes
+    for a in elements:  # grows during the loop: products of symmetries are tried, too
         for b in elements[: len(elements)]:
             _add_symmetry(elements, a @ b, surface)
     return Symmetries(np.stack(elements), np.zeros((0, 3)), centre)
 
 
 class _SymmetrySurface:
-    """A mesh's surface: points spread over it, and how far others are from it."""
+    """A mesh's surface: points on it, and distances from it."""
 
     def __init__(self, mesh: Mesh) -> None:
         import igl
@@ -112,22 +112,22 @@ class _SymmetrySurface:
         self._refined: dict[bytes, ndarray | None] = {}
 
     def promising(self, rotations: Float[ndarray, "n 4 4"]) -> Float[ndarray, "m 4 4"]:
-        """Return the rotations that a coarse test of all of them at once does not exclude."""
+        """Return the rotations that pass a coarse test, of all at once."""
         distance = self.dense.query(se3.transform(rotations, self.points[::5]))[0]
         return rotations[distance.mean(axis=1) < 3.0 * MAX_MEAN_SYMMETRY_DISTANCE * self.mesh.diameter]
 
     def nearest(self, X: Float[ndarray, "P 3"]) -> tuple[ndarray, ndarray, ndarray]:
-        """Return distances [m], nearest points and the normals there."""
+        """Return distances [m], nearest points, and normals at these."""
         squared, face, nearest = self.tree.squared_distance(self.mesh.vertices, self.mesh.faces, X)
         return np.sqrt(squared), nearest, self.mesh.planes[face, :3]
 
     def fits(self, T: Float[ndarray, "4 4"]) -> bool:
-        """Return whether the rotated surface lies on the resting one."""
+        """Return whether the rotated surface lies on the original one."""
         distance = self.nearest(se3.transform(T, self.points))[0] / self.mesh.diameter
         return bool(distance.mean() < MAX_MEAN_SYMMETRY_DISTANCE and distance.max() < MAX_SYMMETRY_DISTANCE)
 
     def refined(self, rotation: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"] | None:
-        """Refine a rotation to its best fit nearby; None where that is no symmetry. Half turns are asked for twice."""
+        """Refine a rotation to the nearest symmetry; None without one. Cached, since half turns are asked for twice."""
         if (key := rotation.tobytes()) not in self._refined:
             self._refined[key] = self._refine(rotation)
         return self._refined[key]
@@ -151,7 +151,7 @@ class _SymmetrySurface:
             _, nearest, n = self.nearest(X)
             middle = X.mean(axis=0)
             J = np.concatenate([n, np.cross(X - middle, n) / size], axis=1)
-            # The damping holds still what the surface leaves free: a can's rotation about its axis.
+            # The damping fixes free motions: a can's rotation about its axis.
             step = np.linalg.solve(J.T @ J + 1e-3 * len(J) * np.eye(6), J.T @ np.sum(n * (nearest - X), axis=1))
             R = se3.exp_so3(step[3:] / size)
             T = se3.rigid(R, middle - R @ middle + step[:3]) @ T
@@ -159,12 +159,12 @@ class _SymmetrySurface:
 
 
 def surface_points(mesh: Mesh, count: int) -> Float[ndarray, "count 3"]:
-    """Sample points evenly over a surface by area; the same ones every time."""
+    """Sample points evenly over a surface by area, deterministically."""
     return points_at_samples(mesh, *surface_samples(mesh, count))
 
 
 def surface_samples(mesh: Mesh, count: int) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 2"]]:
-    """Return the face of each of the ``surface_points``, and their position along its first two edges."""
+    """Return the face of each of the ``surface_points``, and its coordinates along the face's first two edges."""
     filled = np.cumsum(face_areas(mesh.vertices, mesh.faces))
     face = np.searchsorted(filled, (np.arange(count) + 0.5) / count * filled[-1])
     # The plastic number's low-discrepancy sequence, folded into the triangle.
@@ -173,13 +173,13 @@ def surface_samples(mesh: Mesh, count: int) -> tuple[Int[ndarray, "n"], Float[nd
 
 
 def points_at_samples(mesh: Mesh, face: Int[ndarray, "n"], along: Float[ndarray, "n 2"]) -> Float[ndarray, "n 3"]:
-    """Return the points of a mesh at places of another one with the same faces."""
+    """Return a mesh's points at the samples of a mesh with the same faces."""
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces[face]], 1, 0)
     return np.asarray(a + along[:, :1] * (b - a) + along[:, 1:] * (c - a))
 
 
 def _moments(mesh: Mesh) -> tuple[Float[ndarray, "3"], Float[ndarray, "3 3"]]:
-    """Centre [m] and second moment [m2] of a surface, exactly."""
+    """Exact centre [m] and second moment [m^2] of a surface."""
     corners, area = mesh.vertices[mesh.faces], face_areas(mesh.vertices, mesh.faces)
     centre = np.average(corners.mean(axis=1), axis=0, weights=area)
     # Over a triangle the mean of x x^T is (a a^T + b b^T + c c^T + s s^T) / 12, s = a + b + c.
@@ -212,19 +212,16 @@ def _rotations(
 def _continuous_axis(
     surface: _SymmetrySurface, centre: Float[ndarray, "3"], half: Float[ndarray, "4 4"]
 ) -> tuple[Float[ndarray, "3"], Float[ndarray, "3"]] | None:
-    """Return the line (point, direction) of a half turn, if any rotation about it is a symmetry."""
+    """Line (point, direction) of a half turn if all rotations about it are symmetries, else None."""
     w = se3.log_so3(half[:3, :3])
     axis = w / np.linalg.norm(w)
     point = (centre + se3.transform(half, centre[None])[0]) / 2.0  # halfway between a point and its image
-    return (
-        (point, axis)
-        if all(surface.fits(_rotations(point, axis, angle)) for angle in CONTINUOUS_AXIS_ANGLES_RAD)
-        else None
-    )
+    continuous = all(surface.fits(_rotations(point, axis, angle)) for angle in CONTINUOUS_AXIS_ANGLES_RAD)
+    return (point, axis) if continuous else None
 
 
 def _add_symmetry(elements: list[ndarray], T: Float[ndarray, "4 4"], surface: _SymmetrySurface) -> None:
-    """Add the symmetry nearest to T, unless there is none or it is known."""
+    """Add the symmetry nearest to T, if it exists and is new."""
     if _is_known_symmetry(elements, T):
         return
     refined = surface.refined(T)

@@ -1,9 +1,8 @@
-"""Depth images from the files that sensors and networks leave: one entry of ``DEPTH_FORMATS`` each.
+"""Depth images of sensors and networks, and their import into a clip. ``DEPTH_FORMATS`` has an entry for each program.
 
-What is read, for all of them: a file for each frame, named like it or by its number (PNG, ``.npy``, ``.npz``, EXR); a
-folder for each frame with ``depth`` of these; or one ``.npz`` or ``.npy`` of all frames (N, H, W), in their order or
-with their names in ``frames``. Images have the size that the program worked at: of the clip's images they are all,
-scaled.
+Layouts of all formats: a file for each frame, with its name or number (PNG, ``.npy``, ``.npz``, EXR); a folder for each
+frame with a file ``depth`` of these types; or one ``.npz`` or ``.npy`` of all frames (N, H, W), in order or with names
+in ``frames``. Depth images cover the whole image, at any resolution.
 """
 
 from __future__ import annotations
@@ -44,15 +43,15 @@ from getagrip.clip.match_frames import (
 from getagrip.clip.read import ClipHeader
 from getagrip.errors import InputError, UsageError, unknown_choice_error
 from getagrip.io import arrays, files
-from getagrip.io.files import printable
+from getagrip.io.files import printable, shorten_value
 from getagrip.io.images import png_size, read_colour_png, write_depth
 
 DEPTH_STACK_KEYS = ("depths",)
-"""Other names of the array of all depth images, as of MegaSaM."""
+"""Other names of the array of all depth images (MegaSaM)."""
 HO3D_DEPTH_UNIT_M = 0.00012498664727900177
 """Metres per unit of HO-3D's depth (``read_depth_img`` of its authors' code)."""
 DEPTH_FOCAL_TOLERANCE = 0.15
-"""A network whose focal length differs from the clip's by more saw another field of view [share]."""
+"""Maximum relative difference of a network's focal length from the clip's."""
 
 
 def _decode_ho3d_depth(path: Path) -> Float[ndarray, "h w"]:
@@ -63,13 +62,13 @@ def _decode_ho3d_depth(path: Path) -> Float[ndarray, "h w"]:
 
 @dataclass(frozen=True)
 class DepthFormat:
-    """How a program writes depth.
+    """A program's depth files.
 
     Attributes:
-        takes: its files in a few words, for the command's help.
-        source: what its numbers are; ``unit`` is that of PNG.
-        read_png: the reader of its PNG.
-        floats: unit of numbers with fractions.
+        takes: the files in a few words, for the command's help.
+        source: the meaning of the numbers; ``unit`` is the unit of PNG.
+        read_png: the reader of PNG.
+        floats: unit of numbers with fractions [m].
     """
 
     takes: str
@@ -93,7 +92,7 @@ DEPTH_FORMATS: Mapping[str, DepthFormat] = {
     "megasam": DepthFormat("its *_sgd_cvd_hr.npz", DepthSource("clip", "network")),
     "depth-pro": DepthFormat("an .npz for each image", DepthSource("metric", "network")),
 }
-"""Each format by its name; ``--scale`` and ``--error`` of the command overrule what it says of itself."""
+"""Formats by name; the command's ``--scale`` and ``--error`` override a format's own."""
 
 
 @dataclass(frozen=True)
@@ -101,9 +100,9 @@ class DepthReader:
     """The depth images of a clip's frames, in the format's unit.
 
     Attributes:
-        read: the image of a frame, by its index, and its unit; raises ``InputError``.
-        known: frames that have one.
-        focal: focal length that the program assumed [widths of the image]; NaN where it does not say.
+        read: return the file, image and unit of a frame, by its index; raises ``InputError``.
+        known: indices of the frames with an image.
+        focal: focal length assumed by the program [widths of the image]; NaN if not stated.
     """
 
     read: Callable[[int], tuple[Path, Float[ndarray, "h w"], float]]
@@ -114,12 +113,11 @@ class DepthReader:
 def open_depth(
     path: Path, name: str, frames: Sequence[str], ask_first: str, images: str = "", counted: bool = False
 ) -> DepthReader:
-    """Open the depth images of some frames; ``images`` chooses among several of one frame.
+    """Open the depth images of some frames in the format ``name``.
 
-    Where the user has ``counted``, by ``--first``, frames are numbered as the files count them.
-
-    Raises ``InputError`` where there are none, ``UsageError`` for an unknown format, and where files seem to be counted
-    from another start (``naming.check_numbers``).
+    ``images`` is a pattern that selects among several images of a frame. With ``counted`` (``--first``), frames are
+    numbered as the files count them. Raises ``InputError`` without images, ``UsageError`` for an unknown format and for
+    files apparently counted from another start (``check_frame_numbers``).
     """
     if name not in DEPTH_FORMATS:
         raise unknown_choice_error("--from", name, DEPTH_FORMATS)
@@ -132,9 +130,8 @@ def _open_depth_files(
 ) -> DepthReader:
     form = DEPTH_FORMATS[name]
     exported = [path / "exports" / kind / "results.npz" for kind in ("npz", "mini_npz")]
-    paths = [one for one in (path, *exported) if one.is_file()][:1] or (
-        _list_depth_images(path) if path.is_dir() else []
-    )
+    paths = [one for one in (path, *exported) if one.is_file()][:1]
+    paths = paths or (_list_depth_images(path) if path.is_dir() else [])
     if not paths:
         got = "no depth image" if path.exists() else "no such file or folder"
         raise InputError(path, "", got, f"files of {name}: {form.takes}")
@@ -153,9 +150,8 @@ def _open_depth_files(
             return of_frame, form.read_png(of_frame), form.source.unit
         with arrays.convert_to_input_errors(of_frame):
             image = read_depth_image(of_frame)
-        whole = image.max() > MAX_METRIC_DEPTH_M and np.array_equal(
-            image, np.floor(image)
-        )  # a sensor's PNG, saved as an array
+        # Whole numbers are a sensor's PNG, saved as an array.
+        whole = image.max() > MAX_METRIC_DEPTH_M and np.array_equal(image, np.floor(image))
         return of_frame, image, form.source.unit if whole else form.floats
 
     return DepthReader(read, sorted(rows), _focal_of_view(paths[rows[min(rows)]]))
@@ -174,7 +170,7 @@ def _list_depth_images(folder: Path) -> list[Path]:
 
 
 def _read_depth_arrays(path: Path) -> dict[str, Shaped[ndarray, "..."]]:
-    """Read the arrays of a file that are depth, its frames or a camera. Raises ``InputError``."""
+    """Read the arrays of depth, frames and camera in a file. Raises ``InputError``."""
     if path.suffix.lower() == ".npy":
         return {DEPTH_KEY: arrays.parse_npy(path, "", files.read_bytes(path, arrays.MAX_NPZ_BYTES))}
     stored = arrays.read(path, {DEPTH_KEY, *DEPTH_STACK_KEYS, "frames", "intrinsics", "intrinsic"}.__contains__)
@@ -192,15 +188,13 @@ def _open_depth_stack(
         depth = depth[:, 0] if depth.shape[1] == 1 else depth[..., 0]
     depth = depth[None] if depth.ndim == 2 else depth
     if depth.ndim != 3:
-        raise InputError(
-            path, DEPTH_KEY, f"{depth.dtype} of shape {depth.shape}", "numbers of shape (frames, height, width)"
-        )
+        got = f"{depth.dtype} of shape {depth.shape}"
+        raise InputError(path, DEPTH_KEY, got, "numbers of shape (frames, height, width)")
     if "frames" in stored:
         names = arrays.array_from_names(stored["frames"])
         if names is None or len(names) != len(depth):
-            raise InputError(
-                path, "frames", files.shorten_value(stored["frames"]), f"{len(depth)} names or numbers of frames"
-            )
+            got = shorten_value(stored["frames"])
+            raise InputError(path, "frames", got, f"{len(depth)} names or numbers of frames")
         rows = _match_depth_rows(path, [str(name) for name in names], frames, ask_first, "")
     else:
         rows = rows_in_order(len(depth), frames, path, "depth image", counted, ask_first or "--first")
@@ -214,9 +208,8 @@ def _open_depth_stack(
 def _match_depth_rows(
     path: Path, names: Sequence[str], frames: Sequence[str], ask_first: str, images: str
 ) -> dict[int, int]:
-    check_frame_numbers(
-        frames, [stem_of(names[row]) for row in matching_names(names, images)], path, "depth image", ask_first
-    )
+    stems = [stem_of(names[row]) for row in matching_names(names, images)]
+    check_frame_numbers(frames, stems, path, "depth image", ask_first)
     rows = rows_of_frames(names, frames, path, "depth image", images, "--images")
     if not rows:
         some = ", ".join(map(printable, names[:2]))
@@ -226,10 +219,7 @@ def _match_depth_rows(
 
 
 def _focal_of_view(path: Path) -> float:
-    """Return the focal length in MoGe's ``fov.json`` beside an image, or in ``fov`` of MegaSaM's arrays.
-
-    In widths of the image; NaN where neither says.
-    """
+    """Read the focal length [widths of the image] from MoGe's ``fov.json`` or MegaSaM's ``fov``; NaN without either."""
     beside, angle = path.with_name("fov.json"), np.array(np.nan)
     if beside.is_file():
         angle = np.asarray(files.read_json(beside).get("fov_x"))
@@ -241,7 +231,7 @@ def _focal_of_view(path: Path) -> float:
 
 
 def check_focal_length(reader: DepthReader, source: DepthSource, K: Float[ndarray, "T 3 3"], width: int) -> str:
-    """Say that a program saw another field of view than the clip's camera has; empty where it did not."""
+    """Describe a difference between a program's and the clip's field of view; empty without one."""
     ratio = reader.focal * width / float(np.median(K[:, 0, 0]))
     if not abs(ratio - 1.0) > DEPTH_FOCAL_TOLERANCE:
         return ""
@@ -253,10 +243,10 @@ def check_focal_length(reader: DepthReader, source: DepthSource, K: Float[ndarra
 def check_depth_direction(
     reader: DepthReader, masks: Mapping[int, tuple[ndarray, ndarray]], source: DepthSource
 ) -> str:
-    """Say that numbers grow towards the camera, as disparities do; empty where they do not.
+    """Describe numbers that grow towards the camera, as disparities do; empty if they do not.
 
-    ``masks`` are the object's, and what hides it, in frames that are looked at. A sensor's numbers are in a known unit,
-    and may be right; raises ``InputError`` for a network's.
+    ``masks`` are the masks of the object and of its occluders, in the frames to check. Raises ``InputError`` for a
+    network's numbers; a sensor's, in a known unit, may be right.
     """
     each, path = list[float](), Path()
     for n, (seen, others) in masks.items():
@@ -275,7 +265,7 @@ def check_depth_direction(
 
 
 def select_depth_source(name: str, scale: str | None, unit: float | None, error: float | None) -> DepthSource:
-    """Return the measure of a format's numbers, or the one that the user states. Raises ``UsageError``."""
+    """Return a format's source of depth, with the values that the user states. Raises ``UsageError``."""
     source = DEPTH_FORMATS[name].source
     if error is not None and not 0.0 < error < 1.0:
         raise UsageError(f"--error must be a share of the distance, above 0 and below 1 (got {error})")
@@ -290,9 +280,9 @@ def select_depth_source(name: str, scale: str | None, unit: float | None, error:
 
 
 MAX_UINT16_DEPTH = 65534
-"""Largest number of a 16-bit image that is a distance."""
+"""Maximum number of a 16-bit image that is a distance."""
 MEDIAN_UINT16_DEPTH = 16384
-"""Numbers with fractions are written so that the median of the first image with depth is this."""
+"""Written median of the first image with depth, if its numbers have fractions."""
 
 
 def add_depth(
@@ -303,9 +293,9 @@ def add_depth(
     unit: float | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write ``depth/`` of a clip, and what it is and where it is from into its ``clip.json``. Raises ``InputError``.
+    """Write ``depth/`` of a clip, and its source and provenance (``said``) into ``clip.json``. Raises ``InputError``.
 
-    ``unit`` is that of the files, where the user states it [m].
+    ``unit`` is the files' unit, where the user states it [m].
     """
     older = (depth_file(header.folder, frame) for frame in header.frames if overwrite)
     there = tuple(Path(name).name for name in older if name is not None)
@@ -320,10 +310,7 @@ def add_depth(
 def _write_depth_images(
     reader: DepthReader, frames: Sequence[str], size: tuple[int, int], stated: float | None, folder: Path
 ) -> float:
-    """Write the images, one at a time in memory, and return the unit of their numbers. Raises ``InputError``.
-
-    Whole numbers stay as they are.
-    """
+    """Write the images, one at a time in memory, and return the unit of the written numbers. Whole numbers stay."""
     unit, written, path, shape = 0.0, 0.0, folder, (0, 0)
     for n in reader.known:
         path, image, one = reader.read(n)
@@ -339,9 +326,7 @@ def _write_depth_images(
                 middle = float(np.median(image[image > 0.0]))
                 unit = one if whole else one * (middle / MEDIAN_UINT16_DEPTH)
                 if not MIN_DEPTH_UNIT_M <= unit <= MAX_DEPTH_UNIT_M:
-                    raise InputError(
-                        path, "", f"distances about {one * middle:g} m", "distances of things near a camera"
-                    )
+                    raise InputError(path, "", f"distances about {one * middle:g} m", "distances near a camera")
             whole_numbers = np.rint(image * (one / (unit or one)))
             whole_numbers[whole_numbers > MAX_UINT16_DEPTH] = 0.0  # farther than anything near a hand
             written += float(whole_numbers.sum())

@@ -1,9 +1,7 @@
-"""JSON files too large for the memory: one member of the outermost object, or its items one by one.
+"""Files too large for the memory, read part by part: members of a JSON object, and columns of Parquet files.
 
-Not ijson: it bounds neither an item nor its depth (20 kB of nested brackets take it 1 GB), and a list that is missing
-looks to it like an empty one.
-
-Columns of numbers of Parquet files: part after part, since few bytes hold any number of equal rows.
+Not ijson: it bounds neither an item nor its depth (20 kB of nested brackets take it 1 GB), and reads a missing list as
+an empty one. Parquet is bounded by what is unpacked: few bytes can hold any number of equal rows.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.errors import InputError
-from getagrip.io import arrays, files, plugins
+from getagrip.io import arrays, plugins
 from getagrip.io.files import printable, shorten_value
 
 if TYPE_CHECKING:
@@ -32,18 +30,18 @@ if TYPE_CHECKING:
     from pyarrow.parquet import ParquetFile
 
 MAX_JSON_ITEM_CHARACTERS = 4 * 2**20
-"""Limit in characters of one item; in memory it may take some twenty times as much."""
+"""Maximum number of characters of one item; in memory, an item may take twenty times as much."""
 MAX_JSON_STREAM_BYTES, MAX_JSON_STREAM_VALUES = 2**31, 10**6
-"""Limits of one file, in bytes that are read (unpacked) and in values: a small ``.zip`` may hold any number."""
+"""Maximum size of a file, in unpacked bytes and in values: a small ``.zip`` may hold any number."""
 JSON_CHUNK_BYTES = 2**16
 _JSON_WHITESPACE = re.compile(r"[ \t\n\r]*")
 
 
 def stream_items(path: Path, key: str) -> Iterator[dict[str, object]]:
-    """Yield the objects in the list ``key`` of a JSON object, in order; other members stay unread.
+    """Yield the objects in the list ``key`` of a JSON object, in order; other members are skipped.
 
-    ``path`` is the file, or a ``.zip`` that holds it alone. Raises ``InputError`` for text that is no JSON, a file that
-    is cut short, NaN, a list that is missing or holds anything but objects, and an item or a file above the limits.
+    ``path`` is the JSON file, or a ``.zip`` with one JSON file. Raises ``InputError`` for invalid or truncated JSON,
+    NaN, a missing list, a list of anything but objects, and items or files above the limits.
     """
     with _open_json_stream(path) as stream:
         text = _JsonWindow(path, stream)
@@ -82,7 +80,7 @@ def stream_entries(path: Path, key: str) -> Iterator[tuple[str, object]]:
 
 
 def read_json_member(path: Path, key: str) -> dict[str, object]:
-    """Read the object ``key`` of a JSON object; the rest of the file stays unread.
+    """Read the object ``key`` of a JSON object; the rest of the file is not read.
 
     Raises ``InputError`` as ``stream_items`` does.
     """
@@ -97,9 +95,9 @@ def read_json_member(path: Path, key: str) -> dict[str, object]:
 
 @contextmanager
 def _open_json_stream(path: Path) -> Iterator[IO[bytes]]:
-    """Open a file's bytes, unpacked while they are read where it is a ``.zip``."""
+    """Open a file's bytes, or the unpacked bytes of the JSON file in a ``.zip``."""
     try:
-        if not path.is_file():  # a pipe would be waited for
+        if not path.is_file():  # a pipe would block
             raise InputError(path, "", "no such file", "a JSON file")
         if path.suffix != ".zip":
             with path.open("rb") as stream:
@@ -118,7 +116,7 @@ def _open_json_stream(path: Path) -> Iterator[IO[bytes]]:
 
 
 class _JsonWindow:
-    """A window on the text of a JSON object, and the place in it up to which it is read."""
+    """A window on the text of a JSON object, and the position up to which it is parsed."""
 
     def __init__(self, path: Path, stream: IO[bytes]) -> None:
         self.path, self.stream = path, stream
@@ -128,7 +126,7 @@ class _JsonWindow:
         self.length = self.values = 0
 
     def enter(self, wanted: str) -> None:
-        """Move on to the value of a key of the object."""
+        """Move to the value of a key of the object."""
         self.expect("{", "")
         first = True
         while not self.skip("}"):
@@ -145,7 +143,7 @@ class _JsonWindow:
         raise InputError(self.path, wanted, "no such key", "the key")
 
     def skip(self, mark: str) -> bool:
-        """Skip a mark if it comes next, and return whether it did."""
+        """Skip a mark if it comes next; return whether it did."""
         self._pass_space()
         while self.at == len(self.window) and self._more():
             self._pass_space()
@@ -162,12 +160,11 @@ class _JsonWindow:
             raise InputError(self.path, key, value, f"{mark!r}, as in a JSON object; is the file cut short?")
 
     def value(self, key: str) -> object:
-        """Read a value: with the text that is there or, where that does not parse, with twice as much."""
+        """Parse a value from the window, doubling the window until the value is complete."""
         self.values += 1
         if self.values > MAX_JSON_STREAM_VALUES:
-            raise InputError(
-                self.path, key, f"more than {MAX_JSON_STREAM_VALUES} values", f"at most {MAX_JSON_STREAM_VALUES}"
-            )
+            most = f"{MAX_JSON_STREAM_VALUES}"
+            raise InputError(self.path, key, f"more than {most} values", f"at most {most}")
         while True:
             self._pass_space()
             try:
@@ -179,12 +176,11 @@ class _JsonWindow:
             except RecursionError as error:
                 raise InputError(self.path, key, "values nested too deep", "a JSON value") from error
             except ValueError as error:
-                trouble = f"text that is no JSON ({error})"
+                trouble = f"invalid JSON ({error})"
             unread = len(self.window) - self.at
             if unread > MAX_JSON_ITEM_CHARACTERS:
-                raise InputError(
-                    self.path, key, f"more than {MAX_JSON_ITEM_CHARACTERS} characters, or {trouble}", "a JSON value"
-                )
+                got = f"more than {MAX_JSON_ITEM_CHARACTERS} characters, or {trouble}"
+                raise InputError(self.path, key, got, "a JSON value")
             if not self._more(unread):
                 raise InputError(self.path, key, trouble, "a JSON value; is the file cut short?")
 
@@ -192,20 +188,19 @@ class _JsonWindow:
         self.at = _JSON_WHITESPACE.match(self.window, self.at).end()  # type: ignore[union-attr]
 
     def _more(self, least: int = 0) -> bool:
-        """Widen the window; false at the end of the file."""
+        """Widen the window; return False at the end of the file."""
         if self.ended:
             return False
         content = self.stream.read(max(least, JSON_CHUNK_BYTES))
         self.ended = not content
         self.length += len(content)
         if self.length > MAX_JSON_STREAM_BYTES:
-            raise InputError(
-                self.path, "", f"more than {MAX_JSON_STREAM_BYTES} bytes", f"at most {MAX_JSON_STREAM_BYTES}, unpacked"
-            )
+            most = f"{MAX_JSON_STREAM_BYTES}"
+            raise InputError(self.path, "", f"more than {most} bytes", f"at most {most}, unpacked")
         try:
             self.window, self.at = self.window[self.at :] + self.decode(content, self.ended), 0
         except UnicodeDecodeError as error:
-            raise InputError(self.path, "", f"bytes that are no UTF-8 ({error.reason})", "JSON text") from error
+            raise InputError(self.path, "", f"invalid UTF-8 ({error.reason})", "JSON text") from error
         return bool(content)
 
     def _refuse(self, constant: str) -> object:
@@ -213,15 +208,13 @@ class _JsonWindow:
 
 
 MAX_PARQUET_BYTES = 2**30
-"""Bytes of a file."""
 MAX_PARQUET_VALUES_READ, MAX_PARQUET_VALUES_RETURNED = 2**28, 2**25
-"""Numbers of a file's columns that are gone through, and those of the rows that are kept."""
+"""Maximum count of numbers in a file's columns, and in the selected rows."""
 PARQUET_BATCH_ROWS = 1024
-"""Rows of a part."""
 MAX_PARQUET_ROW_VALUES = 4096
-"""Numbers of a row."""
+"""Maximum average count of numbers in a row of a column."""
 MAX_PARQUET_LIST_DEPTH = 4
-"""Lists within lists."""
+"""Maximum nesting of lists in a column."""
 
 
 def parquet_columns(path: Path) -> list[str]:
@@ -232,10 +225,10 @@ def parquet_columns(path: Path) -> list[str]:
 def read_columns(
     path: Path, names: Sequence[str], where: tuple[str, int] | None = None
 ) -> dict[str, Float[ndarray, "T *n"]]:
-    """Read columns: (T,) of numbers, (T, n) of lists; NaN where a row has none.
+    """Read columns: (T,) of numbers, (T, n) of lists; NaN for missing values.
 
-    ``where`` is one of the columns, and the number in it of the rows that are kept. Raises ``InputError`` for other
-    columns, rows of different lengths and too many numbers, and ``UsageError`` without pyarrow.
+    ``where`` selects rows: one of the columns, and its number in these rows. Raises ``InputError`` for columns of other
+    types, rows of different lengths and too many numbers, and ``UsageError`` without pyarrow.
     """
     file = _open_parquet(path)
     for name in names:
@@ -243,7 +236,7 @@ def read_columns(
             raise InputError(path, name, "no such column", f"one of {', '.join(file.schema_arrow.names)}")
         kind = file.schema_arrow.field(name).type
         if not _is_numeric_type(kind):
-            raise InputError(path, name, f"the type {files.printable(str(kind))}", "numbers, or lists of numbers")
+            raise InputError(path, name, f"the type {printable(str(kind))}", "numbers, or lists of numbers")
     kept: dict[str, list[ndarray]] = {name: [] for name in names}
     total = 0
     for batch in _read_parquet_batches(path, file, names):
@@ -260,7 +253,6 @@ def read_columns(
 
 
 def _open_parquet(path: Path) -> ParquetFile:
-    """Open a Parquet file."""
     parquet = plugins.import_extra("pyarrow.parquet", "lerobot", path.name)
     if path.stat().st_size > MAX_PARQUET_BYTES:
         raise InputError(path, "", f"{path.stat().st_size} bytes", f"at most {MAX_PARQUET_BYTES}")
@@ -271,18 +263,15 @@ def _open_parquet(path: Path) -> ParquetFile:
 
 
 def _read_parquet_batches(path: Path, file: ParquetFile, names: Sequence[str]) -> Iterator[RecordBatch]:
-    """Yield the columns part by part, after a look at how many numbers they say to have."""
+    """Yield the columns part by part, after a check of their stated size."""
     try:
         about = file.metadata
         groups = [about.row_group(n) for n in range(about.num_row_groups)]
         parts = [group.column(k) for group in groups for k in range(group.num_columns)]
         numbers = sum(part.num_values for part in parts if part.path_in_schema.split(".")[0] in names)
         rows = max(about.num_rows, 1)
-        if (
-            numbers > MAX_PARQUET_VALUES_READ
-            or rows > MAX_PARQUET_VALUES_READ
-            or numbers / rows > MAX_PARQUET_ROW_VALUES * len(names)
-        ):
+        in_row = numbers / rows
+        if max(numbers, rows) > MAX_PARQUET_VALUES_READ or in_row > MAX_PARQUET_ROW_VALUES * len(names):
             got = f"{numbers} numbers in {about.num_rows} rows"
             raise InputError(path, "", got, f"at most {MAX_PARQUET_VALUES_READ}, {MAX_PARQUET_ROW_VALUES} in a row")
         yield from file.iter_batches(PARQUET_BATCH_ROWS, columns=list(names))
@@ -291,7 +280,6 @@ def _read_parquet_batches(path: Path, file: ParquetFile, names: Sequence[str]) -
 
 
 def _is_numeric_type(kind: DataType, deep: int = 0) -> bool:
-    """Return whether a type is one of numbers, or of lists of them."""
     from pyarrow import types
 
     if deep < MAX_PARQUET_LIST_DEPTH and (
@@ -316,14 +304,14 @@ def _column_to_array(path: Path, name: str, column: Array) -> Float[ndarray, "T 
     if not shape:
         return np.asarray(values)
     if values.size != np.count_nonzero(there) * math.prod(shape):
-        raise InputError(path, name, "lists within lists of which some are missing", "rows of one count")
+        raise InputError(path, name, "nested lists with missing items", "rows of one count")
     out = np.full((len(column), math.prod(shape)), np.nan)
     out[there] = values.reshape(-1, out.shape[1])
     return out
 
 
 def _concatenate_batches(path: Path, name: str, parts: list[ndarray]) -> Float[ndarray, "T *n"]:
-    """Join the parts; those without a number have as many columns as the others."""
+    """Join the parts; parts without numbers take the width of the others."""
     width = max((part.shape[1] for part in parts if part.ndim == 2), default=0)
     parts = [np.full((len(part), width), np.nan) if part.ndim == 2 and not part.shape[1] else part for part in parts]
     counts = sorted({part.shape[1:] for part in parts if len(part)})

@@ -1,7 +1,4 @@
-"""A result as a film: over its images and turned, side by side, as fast as the clip.
-
-A timeline is not turned but shown in the world, with a bar of its segments.
-"""
+"""Films of results at the clip's speed: over the images, beside a view from the side or, of timelines, in the world."""
 
 from __future__ import annotations
 
@@ -28,28 +25,24 @@ if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont
 
 FILM_PANEL_PX, CAPTION_HEIGHT_PX, CAPTION_MARGIN_PX = 540, 36, 12
-"""Side of the two pictures, height of the line of words under them, and what is left free around it [px]."""
+"""Side of each of the two pictures, height of the caption below them, and the caption's margin [px]."""
 MIN_FILM_FPS, MAX_FILM_FPS = 1.0, 120.0
-"""Frames per second."""
-
-
 FILM_ELEVATION_RAD = np.radians(28.0)
-"""It looks down on the ground so steeply, where up is known."""
+"""Elevation from which the camera looks down on the ground, where up is known."""
 FILM_AZIMUTHS_RAD = np.radians([-75.0, -45.0, -20.0, 20.0, 45.0, 75.0])
-"""And so far aside from where the clip's cameras were, whichever shows most of the object."""
-N_VIEWPOINT_FRAMES, VIEWPOINT_RENDER_PX = 8, 96
-"""Frames, and the side of their pictures [px], by which that is chosen."""
+"""Candidate azimuths, from the mean place of the clip's cameras; the one that shows most of the object is used."""
+N_VIEWPOINT_FRAMES, VIEWPOINT_RENDER_PX = 8, 96.0
+"""Number of frames, and side of their renderings [px], that decide the azimuth."""
 FILM_FRAMING_FACTOR = 1.08
 GROUND_SQUARE_M = 0.05
-"""Side of the squares of the ground [m]."""
 GROUND_MARGIN_FRACTION = 0.7
-"""The ground reaches so far beyond what moves on it, in its extents."""
+"""Margin of the ground around hands and object, as a fraction of their extent over all frames."""
 GROUND_COLOURS = (0.93, 0.93, 0.90), (0.88, 0.88, 0.85)
 SHADOW_COLOUR = (0.74, 0.74, 0.71)
 SHADOW_HEIGHT_M = 1e-3
-"""Shadows are drawn so far above the ground [m], so that they are seen."""
+"""Height of shadows above the ground, which would hide them [m]."""
 MAX_GROUND_SQUARES = 60
-"""Along a side of the ground."""
+"""Squares along a side of the ground."""
 Mesh3 = tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"], tuple[float, float, float] | Float[ndarray, "V 3"]]
 
 
@@ -60,14 +53,13 @@ def write_film(view: View, path: Path) -> Path:
     """
     in_world = bool(view.clip.segments) and view.clip.world is not None
     pictures = _timeline_frames(view) if in_world else _overlay_and_turned_frames(view)
-    write_video(
-        path, pictures, _film_fps(view), (2 * FILM_PANEL_PX, FILM_PANEL_PX + CAPTION_HEIGHT_PX * (1 + in_world))
-    )
+    size = 2 * FILM_PANEL_PX, FILM_PANEL_PX + CAPTION_HEIGHT_PX * (1 + in_world)
+    write_video(path, pictures, _film_fps(view), size)
     return path
 
 
 def _film_fps(view: View) -> Fraction:
-    """Frames per second; fewer than the clip's where the result has only some of its frames."""
+    """Return the frame rate: below the clip's where the result has only some of the clip's frames."""
     times = result_times(view)
     lasts = float(times[-1] - times[0])
     rate = (len(times) - 1) / lasts if lasts > 0.0 else view.clip.fps
@@ -84,11 +76,8 @@ def _overlay_and_turned_frames(view: View) -> Iterator[UInt8[ndarray, "H W 3"]]:
 def _timeline_frames(view: View) -> Iterator[UInt8[ndarray, "H W 3"]]:
     crops, stage = smooth_windows(view, FILM_PANEL_PX), FilmStage.of(view, FILM_PANEL_PX)
     for n, under in enumerate(_frame_captions(view)):
-        seen, placed = (
-            draw_caption(draw_overlay(view, n, crops, n), "from the camera"),
-            draw_caption(stage.picture(n), "in the world"),
-        )
-        pair = np.concatenate([seen, placed], axis=1)
+        seen = draw_caption(draw_overlay(view, n, crops, n), "from the camera")
+        pair = np.concatenate([seen, draw_caption(stage.picture(n), "in the world")], axis=1)
         bar = draw_segment_bar(view, n, (2 * FILM_PANEL_PX, CAPTION_HEIGHT_PX))
         yield np.concatenate([pair, bar, _caption_strip(under)])
 
@@ -106,22 +95,17 @@ def _caption_strip(words: str) -> UInt8[ndarray, "STRIP W 3"]:
     from PIL import Image, ImageDraw
 
     strip = Image.new("RGB", (2 * FILM_PANEL_PX, CAPTION_HEIGHT_PX), "white")
-    draw = ImageDraw.Draw(strip)
-    draw.text(
-        (CAPTION_MARGIN_PX, CAPTION_HEIGHT_PX / 2),
-        words,
-        fill=INK_COLOUR,
-        font=load_font(CAPTION_HEIGHT_PX // 2),
-        anchor="lm",
-    )
+    left = (CAPTION_MARGIN_PX, CAPTION_HEIGHT_PX / 2)
+    ImageDraw.Draw(strip).text(left, words, INK_COLOUR, load_font(CAPTION_HEIGHT_PX // 2), "lm")
     return np.asarray(strip)
 
 
 @dataclass(frozen=True)
 class FilmStage:
-    """A camera that stands still, and the ground where it is known."""
+    """A static camera, and the ground where it is known."""
 
     view: View
+    T_world_cam: Float[ndarray, "T 4 4"]
     T_eye_world: Float[ndarray, "4 4"]
     K: Float[ndarray, "3 3"]
     size: int
@@ -132,7 +116,7 @@ class FilmStage:
 
     @staticmethod
     def of(view: View, size: int) -> FilmStage:
-        """Make a stage on which all frames of a view are visible. The clip has a world."""
+        """Make a stage on which all frames of a view are visible. The view's clip must have a world."""
         world = view.clip.world
         assert world is not None
         frames = range(len(view.result.frames))
@@ -140,36 +124,33 @@ class FilmStage:
         seen = np.concatenate([se3.transform(world.T_world_cam[n], points[n]) for n in frames])
         middle = (seen.min(axis=0) + seen.max(axis=0)) / 2.0
         reach = float(np.linalg.norm(seen - middle, axis=1).max())
-        T_eye_world = max(
-            _candidate_eye_poses(world.T_world_cam, world.up, middle, reach), key=lambda T: _visible_fraction(view, T)
-        )
+        eyes = _candidate_eye_poses(world.T_world_cam, world.up, middle, reach)
+        T_eye_world = max(eyes, key=lambda T: _visible_fraction(view, T, world.T_world_cam))
         in_eye = se3.transform(T_eye_world, seen)
         slope = in_eye[:, :2] / in_eye[:, 2:]
         low, high = slope.min(axis=0), slope.max(axis=0)
         f = size / (FILM_FRAMING_FACTOR * float((high - low).max()))
         K = np.array([[f, 0.0, size / 2.0], [0.0, f, size / 2.0], [0.0, 0.0, 1.0]])
         K[:2, 2] -= f * (low + high) / 2.0
-        height = _ground_height(view)
-        ground = (
-            () if world.up is None or height is None else (_ground_mesh(seen, T_eye_world[0, :3], world.up, height),)
-        )
-        return FilmStage(view, T_eye_world, K, size, world.up, height, ground)
+        height, ground = _ground_height(view), tuple[Mesh3, ...]()
+        if world.up is not None and height is not None:
+            ground = (_ground_mesh(seen, T_eye_world[0, :3], world.up, height),)
+        return FilmStage(view, world.T_world_cam, T_eye_world, K, size, world.up, height, ground)
 
     def picture(self, n: int) -> UInt8[ndarray, "size size 3"]:
         """Draw hands and object in frame ``n``, with their shadows."""
-        view = self.view
-        T = self.T_eye_world @ view.clip.world.T_world_cam[n]  # type: ignore[union-attr]
-        hands, grasped = view.hands(n), view.object(n)
+        hands, grasped = self.view.hands(n), self.view.object(n)
         meshes: list[Mesh3] = [(se3.transform(self.T_eye_world, v), f, c) for v, f, c in self.ground]
         if self.ground:
-            in_world = [se3.transform(view.clip.world.T_world_cam[n], v) for v in (*(v for v, _ in hands), grasped)]  # type: ignore[union-attr]
+            in_world = [se3.transform(self.T_world_cam[n], v) for v in (*(v for v, _ in hands), grasped)]
             meshes += [(se3.transform(self.T_eye_world, v), f, SHADOW_COLOUR) for v, f in map(self._shadow, in_world)]
+        T = self.T_eye_world @ self.T_world_cam[n]
         meshes += [(se3.transform(T, hand), faces, HAND_RGB) for hand, faces in hands]
-        meshes.append((se3.transform(T, grasped), view.clip.mesh.faces, OBJECT_RGB))
+        meshes.append((se3.transform(T, grasped), self.view.clip.mesh.faces, OBJECT_RGB))
         return render_rgb(meshes, self.K, (self.size, self.size), PAPER_RGB)
 
     def _shadow(self, vertices: Float[ndarray, "V 3"]) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"]]:
-        """Return the hull of some points, straight below them on the ground."""
+        """Return the convex hull of vertices projected onto the ground, as vertices and faces."""
         assert self.up is not None
         assert self.height is not None
         flat = vertices - (vertices @ self.up - self.height - SHADOW_HEIGHT_M)[:, None] * self.up
@@ -183,7 +164,6 @@ class FilmStage:
 
 
 def _ground_axes(up: Float[ndarray, "3"]) -> Float[ndarray, "2 3"]:
-    """Two directions along the ground."""
     first = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(up, first)])
@@ -192,10 +172,9 @@ def _ground_axes(up: Float[ndarray, "3"]) -> Float[ndarray, "2 3"]:
 def _candidate_eye_poses(
     T_world_cam: Float[ndarray, "T 4 4"], up: Float[ndarray, "3"] | None, middle: Float[ndarray, "3"], reach: float
 ) -> Iterator[Float[ndarray, "4 4"]]:
-    """Yield the poses of the eyes that look at the world's middle.
+    """Yield candidate poses ``T_eye_world`` of a static camera that sees everything within ``reach`` [m] of ``middle``.
 
-    An eye looks as the clip's camera does or, where up is known, from several sides, upright and down on the ground.
-    ``reach``: how far from the middle there is anything to see [m].
+    Where up is known: upright, from several azimuths; else one, turned as the clip's middle camera.
     """
     back = se3.rigid(None, np.array([0.0, 0.0, 2.5 * reach]))
     if up is None:
@@ -207,46 +186,31 @@ def _candidate_eye_poses(
     if np.linalg.norm(away) < 1e-6:
         away = _ground_axes(up)[0]
     for aside in FILM_AZIMUTHS_RAD:
-        forward = (
-            -np.cos(FILM_ELEVATION_RAD) * se3.exp_so3(aside * up) @ (away / np.linalg.norm(away))
-            - np.sin(FILM_ELEVATION_RAD) * up
-        )
+        level = -np.cos(FILM_ELEVATION_RAD) * se3.exp_so3(aside * up) @ (away / np.linalg.norm(away))
+        forward = level - np.sin(FILM_ELEVATION_RAD) * up
         right = np.cross(forward, up)
         right /= np.linalg.norm(right)
         R = np.stack([right, np.cross(forward, right), forward])
         yield np.asarray(back @ se3.rigid(R, -R @ middle))
 
 
-def _visible_fraction(view: View, T_eye_world: Float[ndarray, "4 4"]) -> float:
-    """How much of the object nothing hides from an eye: the mean share of its silhouette over some frames."""
-    world = view.clip.world
-    assert world is not None
-    K = np.array(
-        [
-            [VIEWPOINT_RENDER_PX, 0.0, VIEWPOINT_RENDER_PX / 2.0],
-            [0.0, VIEWPOINT_RENDER_PX, VIEWPOINT_RENDER_PX / 2.0],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-    shares = []
+def _visible_fraction(view: View, T_eye_world: Float[ndarray, "4 4"], T_world_cam: Float[ndarray, "T 4 4"]) -> float:
+    """Compute the visible fraction of the object's silhouette, the mean over some frames."""
+    f, size, shares = VIEWPOINT_RENDER_PX, (int(VIEWPOINT_RENDER_PX), int(VIEWPOINT_RENDER_PX)), []
+    K = np.array([[f, 0.0, f / 2.0], [0.0, f, f / 2.0], [0.0, 0.0, 1.0]])
     for n in np.unique(np.linspace(0, len(view.clip) - 1, N_VIEWPOINT_FRAMES).round().astype(int)):
-        T = T_eye_world @ world.T_world_cam[n]
+        T = T_eye_world @ T_world_cam[n]
         hand = se3.transform(T, view.hand(n)), view.clip.hand.faces
         grasped = se3.transform(T, view.object(n)), view.clip.mesh.faces
-        part, alone = (
-            nearest_surface(surfaces, K, (VIEWPOINT_RENDER_PX, VIEWPOINT_RENDER_PX))
-            for surfaces in ([grasped, hand], [grasped])
-        )
+        part, alone = (nearest_surface(surfaces, K, size) for surfaces in ([grasped, hand], [grasped]))
         shares.append(np.count_nonzero(part == 0) / (np.count_nonzero(alone == 0) or 1))
     return float(np.mean(shares))
 
 
 def _ground_height(view: View) -> float | None:
-    """Return the height of the ground: the clip's, else that of the lowest point of an object that lies still."""
-    clip = view.clip
-    world = clip.world
-    assert world is not None
-    if world.up is None:
+    """Return the ground's height along up [m]: the clip's support, else the lowest point of the static object."""
+    clip, world = view.clip, view.clip.world
+    if world is None or world.up is None:
         return None
     if world.support is not None:
         return world.support
@@ -258,11 +222,12 @@ def _ground_height(view: View) -> float | None:
 def _ground_mesh(
     seen: Float[ndarray, "n 3"], right: Float[ndarray, "3"], up: Float[ndarray, "3"], height: float
 ) -> Mesh3:
-    """Make a chequered ground below and around what is visible, its squares along ``right``."""
+    """Make a chequered ground around the points ``seen``, its squares along ``right``."""
     across = np.stack([right, np.cross(up, right)])
     at = seen @ across.T
     low, high = at.min(axis=0), at.max(axis=0)
-    low, high = low - GROUND_MARGIN_FRACTION * (high - low).max(), high + GROUND_MARGIN_FRACTION * (high - low).max()
+    margin = GROUND_MARGIN_FRACTION * (high - low).max()
+    low, high = low - margin, high + margin
     side = max(GROUND_SQUARE_M, float((high - low).max()) / MAX_GROUND_SQUARES)
     i, j = np.meshgrid(*(np.arange(np.floor(a / side), np.ceil(b / side)) for a, b in zip(low, high, strict=True)))
     cells = np.stack([i.ravel(), j.ravel()], axis=1)
@@ -275,7 +240,7 @@ def _ground_mesh(
 
 
 def draw_segment_bar(view: View, n: int, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
-    """Draw the segments of a view in their colours and words, frame ``n`` marked; width and height in pixels."""
+    """Draw the segments of a view as a bar of width and height ``size`` [px], with frame ``n`` marked."""
     from PIL import Image, ImageDraw
 
     width, height = size

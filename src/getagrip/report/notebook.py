@@ -1,4 +1,4 @@
-"""How a notebook shows data: a table and a picture of what the last line of a cell gives, and a result's page."""
+"""Notebook output of the package's data: a table and a picture; and a result's figure and page."""
 
 from __future__ import annotations
 
@@ -47,13 +47,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NOTEBOOK_PICTURE_PX = 320
-"""Longest side of a picture beside a table [px]."""
 Picture = UInt8[ndarray, "H W 3"]
 
 
 @dataclass(frozen=True, repr=False)
 class HtmlPage:
-    """An HTML page in one file: a notebook shows it in a frame, which runs nothing but the page's own scripts."""
+    """An HTML page in one file; a notebook shows it in a sandboxed frame."""
 
     html: str
     height: int
@@ -72,7 +71,7 @@ class HtmlPage:
 
 
 def plot_result(result: Reconstruction, clip: Clip | None, masks: Masks | None) -> Figure:
-    """Draw the report of a result as a figure that shows itself in a notebook, also without pyplot."""
+    """Draw the report of a result as a figure that a notebook displays, with or without pyplot."""
     figure = report_figure(result, *_result_inputs(result, clip, masks))
     figure.__dict__["_repr_png_"] = lambda: _figure_to_png(figure)
     return figure
@@ -83,21 +82,15 @@ def make_result_page(result: Reconstruction, clip: Clip | None, masks: Masks | N
     clip, masks = _result_inputs(result, clip, masks)
     index = clip.index_of(result.frames)
     clip, masks = clip.take(index), None if masks is None else masks.take(index)
-    record = {
-        "software": software_versions(),
-        "options": result.options,
-        "seed": result.seed,
-        "provenance": clip.provenance,
-    }
+    record = {"software": software_versions(), "options": result.options, "seed": result.seed}
+    view, evaluation = View.of(result, clip, masks), evaluate(result, clip, masks)
     with tempfile.TemporaryDirectory() as folder:
-        written = write_page(
-            View.of(result, clip, masks), evaluate(result, clip, masks), record, Path(folder) / "report.html"
-        )
+        written = write_page(view, evaluation, record | {"provenance": clip.provenance}, Path(folder) / "report.html")
         return HtmlPage(written.read_text(encoding="utf-8"), height)
 
 
 def _result_inputs(result: Reconstruction, clip: Clip | None, masks: Masks | None) -> tuple[Clip, Masks | None]:
-    """Return the clip and masks to show a result with. Raises ``UsageError`` where they are not known."""
+    """Return the clip and masks, by default those that the result was made from. Raises ``UsageError`` without any."""
     if clip is None and result.inputs is None:
         raise UsageError("missing clip: this result does not know what it was made of; say result.plot(clip, masks)")
     clip, masks = (clip, masks) if clip is not None else result.inputs or (clip, masks)
@@ -106,7 +99,7 @@ def _result_inputs(result: Reconstruction, clip: Clip | None, masks: Masks | Non
 
 
 def render_html(data: object) -> str:
-    """Write HTML of data: a table of what is in it, and a picture beside it where there is something to see."""
+    """Write HTML of data: a table of its fields and, where data can be drawn, a picture beside it."""
     rows = "".join(
         f'<tr><td style="text-align:left;color:#8a9096">{_escape_html(name)}</td>'
         f'<td style="text-align:left;white-space:normal">{_escape_html(text)}</td></tr>'
@@ -160,7 +153,7 @@ def _(evaluation: Evaluation) -> dict[str, str]:
 
 @singledispatch
 def draw_picture(data: object) -> Picture | None:
-    """Draw data in a small picture; None where there is nothing to see."""
+    """Draw data in a small picture; None for data without one."""
     return None
 
 
@@ -201,33 +194,24 @@ def _(mesh: Mesh) -> Picture | None:
 def _(result: Reconstruction) -> Picture | None:
     if result.inputs is None:
         return None
-    figure = plot_result(result, None, None)
-    return np.asarray(
-        cv2.imdecode(np.frombuffer(_figure_to_png(figure), np.uint8), cv2.IMREAD_COLOR_RGB), dtype=np.uint8
-    )
+    png = np.frombuffer(_figure_to_png(plot_result(result, None, None)), np.uint8)
+    return np.asarray(cv2.imdecode(png, cv2.IMREAD_COLOR_RGB), dtype=np.uint8)
 
 
 def _render_surface(vertices: ndarray, faces: ndarray, colour: tuple[float, float, float]) -> Picture:
     eye = look_at(vertices, np.array([0.6, -0.5, -0.8]), np.array([0.0, -1.0, 0.0]), NOTEBOOK_PICTURE_PX)
-    return render_rgb(
-        [(se3.transform(eye.T_view_frame, vertices), faces, colour)],
-        eye.K,
-        (NOTEBOOK_PICTURE_PX, NOTEBOOK_PICTURE_PX),
-        PAPER_RGB,
-    )
+    surface = se3.transform(eye.T_view_frame, vertices), faces, colour
+    return render_rgb([surface], eye.K, (eye.size, eye.size), PAPER_RGB)
 
 
 def _escape_html(text: str) -> str:
-    """Write text as HTML in ASCII, which is right in a page of any encoding."""
+    """Escape text as HTML in ASCII, valid in a page of any encoding."""
     return escape(text).encode("ascii", "xmlcharrefreplace").decode()
 
 
 def _png_data_url(seen: Picture) -> str:
-    """Return a picture as an address that holds it."""
     height, width = seen.shape[:2]
-    most = (
-        2.5 * NOTEBOOK_PICTURE_PX if width > 3 * NOTEBOOK_PICTURE_PX else NOTEBOOK_PICTURE_PX
-    )  # a report has small letters
+    most = NOTEBOOK_PICTURE_PX * (2.5 if width > 3 * NOTEBOOK_PICTURE_PX else 1.0)  # a report has small letters
     factor = min(1.0, most / max(height, width))
     small = cv2.resize(seen, (round(factor * width), round(factor * height)), interpolation=cv2.INTER_AREA)
     _, png = cv2.imencode(".png", cv2.cvtColor(small, cv2.COLOR_RGB2BGR))

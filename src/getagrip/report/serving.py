@@ -1,4 +1,4 @@
-"""HTTP to this machine: what the servers of our pages share."""
+"""HTTP servers of local pages: few connections, no log, and headers that keep other sites out."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from typing import Any
 
 LOOPBACK = "127.0.0.1"
 IDLE_TIMEOUT_S = 60.0
-"""A connection without requests is closed after so long [s]."""
+"""Time without requests after which a connection is closed [s]."""
 MAX_CONNECTIONS = 64
-"""Connections at once, each with a thread: others wait."""
+"""Simultaneous connections, one thread each; further ones wait."""
 BUSY_IDLE_TIMEOUT_S = 2.0
-"""A connection without requests is closed after so long where others wait [s]."""
+"""Time without requests after which a connection is closed while others wait [s]."""
 CONNECTION_POLL_S = 0.1
 SECURITY_HEADERS = {
     "Cache-Control": "no-store",
@@ -30,11 +30,11 @@ SECURITY_HEADERS = {
     "X-Content-Type-Options": "nosniff",
 }
 SCRIPTED_PAGE_HEADERS = {"Content-Security-Policy": "frame-ancestors 'none'; base-uri 'none'"}
-"""Headers of a page that names in itself which scripts may run, and what they may load."""
+"""Headers of a page whose own policy states the scripts that may run and what they may load."""
 
 
 class QuietServer(ThreadingHTTPServer):
-    """A thread for each of at most ``MAX_CONNECTIONS`` connections, none of which keeps the program from ending."""
+    """A server with a daemon thread for each of at most ``MAX_CONNECTIONS`` connections."""
 
     daemon_threads = True
     allow_reuse_address = os.name != "nt"  # where two servers would share a port
@@ -43,7 +43,7 @@ class QuietServer(ThreadingHTTPServer):
     def __init__(self, address: tuple[str, int], handler: type[QuietHandler]) -> None:
         """Listen. Raises ``OSError``, ``OverflowError``."""
         self._rest_since: dict[object, float] = {}
-        """When each connection began to wait for a request; infinity while one is answered."""
+        """Time at which each connection began to wait for a request; infinity while a request is answered."""
         self._ended = threading.Condition()
         super().__init__(address, handler)
 
@@ -60,7 +60,7 @@ class QuietServer(ThreadingHTTPServer):
         super().process_request(request, client_address)
 
     def note(self, request: object, at_work: bool) -> None:
-        """Note that a connection's request is answered now, or that it waits for the next."""
+        """Note that a connection's request is being answered, or that the connection waits for the next request."""
         self._rest_since[request] = math.inf if at_work else time.monotonic()
 
     def shutdown_request(self, request: Any) -> None:
@@ -71,11 +71,11 @@ class QuietServer(ThreadingHTTPServer):
             self._ended.notify()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Say nothing of connections that end early."""
+        """Print nothing for a connection that ends early."""
 
 
 class QuietHandler(BaseHTTPRequestHandler):
-    """Answers in one piece each, and prints nothing."""
+    """A handler that sends each answer in one piece and prints nothing."""
 
     server: QuietServer
     protocol_version = "HTTP/1.1"
@@ -90,7 +90,7 @@ class QuietHandler(BaseHTTPRequestHandler):
         super().handle_one_request()
 
     def parse_request(self) -> bool:
-        """Read the head of a request. Whoever sends it slowly still rests."""
+        """Read the head of a request; until it is complete the connection counts as waiting."""
         whole = super().parse_request()
         self.server.note(self.connection, at_work=True)
         return whole
@@ -102,7 +102,7 @@ class QuietHandler(BaseHTTPRequestHandler):
     def send(
         self, content: bytes, kind: str, head: dict[str, str] | None = None, status: HTTPStatus = HTTPStatus.OK
     ) -> None:
-        """Answer with some content of a media type; ``head`` adds to ``SECURITY_HEADERS``, or replaces them."""
+        """Answer with content of the media type ``kind``; ``head`` adds to ``SECURITY_HEADERS`` or replaces some."""
         self.send_response(status)
         own = {"Content-Type": kind, "Content-Length": str(len(content))}
         for key, value in {**SECURITY_HEADERS, **own, **(head or {})}.items():

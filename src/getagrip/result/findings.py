@@ -1,7 +1,4 @@
-"""How probable it is that a result is right, as results hold it (docs/checks.md).
-
-Findings of the checks: unusual properties of a clip or a result.
-"""
+"""Findings of the checks, and calibrated probabilities, as stored in results (docs/checks.md)."""
 
 from __future__ import annotations
 
@@ -20,9 +17,9 @@ class Finding:
     Attributes:
         check: name of the check.
         serious: whether the result is probably worthless.
-        value: what was measured.
-        limit: the limit that it is beyond.
-        message: what is wrong and what to do, in words.
+        value: the measured value.
+        limit: the exceeded limit.
+        message: the problem and its remedy, in words.
     """
 
     check: str
@@ -43,20 +40,18 @@ FINDING_FIELD_TYPES: dict[str, tuple[type, ...]] = {
 def read_findings(path: Path, value: Sequence[Json]) -> tuple[Finding, ...]:
     """Read the findings of a ``result.json``. Raises ``InputError``."""
     for n, item in enumerate(value):
-        if not isinstance(item, dict) or not all(
-            isinstance(item.get(key), kind) for key, kind in FINDING_FIELD_TYPES.items()
-        ):
-            raise InputError(
-                path, f"findings[{n}]", shorten_value(item), f"an object with {', '.join(FINDING_FIELD_TYPES)}"
-            )
+        if not _has_types(item, FINDING_FIELD_TYPES):
+            expected = f"an object with {', '.join(FINDING_FIELD_TYPES)}"
+            raise InputError(path, f"findings[{n}]", shorten_value(item), expected)
     return tuple(Finding(**{key: item[key] for key in FINDING_FIELD_TYPES}) for item in value)
 
 
-def read_checks(path: Path, entry: Mapping[str, object], key: str = "checks") -> dict[str, float]:
-    """Read measured values by name, as the ``key`` of a ``result.json`` has them; NaN for null.
+def _has_types(item: object, types: Mapping[str, tuple[type, ...]]) -> bool:
+    return isinstance(item, dict) and all(isinstance(item.get(key), kind) for key, kind in types.items())
 
-    Raises ``InputError``.
-    """
+
+def read_checks(path: Path, entry: Mapping[str, object], key: str = "checks") -> dict[str, float]:
+    """Read measured values by name, under a key of a ``result.json``; NaN for null. Raises ``InputError``."""
     out = {}
     for name, value in entry.items():
         if isinstance(value, bool) or not isinstance(value, int | float | None):
@@ -66,29 +61,30 @@ def read_checks(path: Path, entry: Mapping[str, object], key: str = "checks") ->
 
 
 SUCCESS_DEFINITION = "right if the mean vertex distance is below 10 % of the diameter"
-"""The meaning, in short, where a probability is shown; ``Probability.meaning`` says it at length."""
-
+"""Short meaning of a probability; the full one is ``Probability.meaning``."""
 CANDIDATE_SET_COVERAGE = 0.9
-"""Probability with which a result's set of candidates holds the right one."""
+"""Probability that a result's set of candidates contains the right one."""
 MIN_SHOWN_PROBABILITY = 0.01
-"""Nearer to 0 or 1 than this, no number is shown: the calibration does not tell them apart."""
+"""Distance from 0 and 1 below which the calibration is too coarse to show a number."""
 ASSUMED_MESH = "assumed mesh"
-"""In ``beyond`` of a result whose mesh is not its object's."""
+"""Entry of ``Probability.beyond`` for a mesh that is not the object's own."""
 MIN_PLAUSIBLE_PROBABILITY = 0.015
 """Probability from which on a result with an assumed mesh probably looks right (docs/draft.md)."""
 
 
 @dataclass(frozen=True)
 class Probability:
-    """A calibrated probability, from what is known without ground truth.
+    """A calibrated probability, computed without ground truth.
 
     Attributes:
-        value: of the results with such a value, this share is right.
-        meaning: what "right" is, and on what the value was calibrated.
-        beyond: names of signs (``checks.features``) that are worse than nearly all of them were there, and of inputs that
-            were exact there: an extrapolation.
-        keep: of results that are at least as probable, at least this share is right (``checks.calibration``); 0: unknown.
-        candidates: number of first candidates that hold the right one with ``CANDIDATE_SET_COVERAGE``; 0: all of them may not.
+        value: fraction of right results among those with such a value.
+        meaning: the definition of "right", and the data of the calibration.
+        beyond: signs (``checks.features``) worse than in nearly all calibration data, and inputs that were exact in it:
+            an extrapolation.
+        keep: guaranteed fraction of right results among those at least as probable (``checks.calibration``); 0:
+            unknown.
+        candidates: number of first candidates that contain the right one with ``CANDIDATE_SET_COVERAGE``; 0: even all
+            of them may not.
     """
 
     value: float
@@ -99,17 +95,14 @@ class Probability:
 
     @property
     def keeping(self) -> str:
-        """Say for which share of right results it is kept, and how many candidates hold the right one, if known."""
+        """Say for which fraction of right results it is kept, and how many candidates contain the right one."""
         kept = f"; kept where {100.0 * self.keep:.3g} % are to be right" if self.keep else ""
         held = f"; {self.candidates} candidates hold the right one" if self.candidates > 1 else ""
         return kept + held
 
     @property
     def by_eye(self) -> str:
-        """Say how a result with an assumed mesh probably looks; empty for others.
-
-        Such a result is rarely within 10 % of the diameter.
-        """
+        """Say how a result with an assumed mesh, rarely within 10 % of the diameter, probably looks; else empty."""
         if ASSUMED_MESH not in self.beyond:
             return ""
         return f"probably looks {'right' if self.value >= MIN_PLAUSIBLE_PROBABILITY else 'wrong'}"
@@ -132,12 +125,8 @@ def read_probability(path: Path, value: object, key: str = "probability_right") 
     """Read the probability under a key of a ``result.json``; None for null. Raises ``InputError``."""
     if value is None:
         return None
-    if (
-        not isinstance(value, dict)
-        or not all(isinstance(value.get(part), kind) for part, kind in PROBABILITY_FIELDS.items())
-        or isinstance(value["value"], bool)
-        or not all(isinstance(name, str) for name in value["beyond"])
-    ):
+    typed = isinstance(value, dict) and _has_types(value, PROBABILITY_FIELDS) and not isinstance(value["value"], bool)
+    if not isinstance(value, dict) or not typed or not all(isinstance(name, str) for name in value["beyond"]):
         raise InputError(path, key, shorten_value(value), f"an object with {', '.join(PROBABILITY_FIELDS)}, or null")
     if not 0.0 <= value["value"] <= 1.0:
         raise InputError(path, f"{key}.value", shorten_value(value["value"]), "0 to 1")

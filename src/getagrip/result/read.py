@@ -1,4 +1,4 @@
-"""Reading the folder of a reconstruction (docs/formats.md): from anyone, so that every value is checked."""
+"""Read the folder of a result (docs/formats.md), which is untrusted: every value is checked."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from getagrip.result.result import (
 from getagrip.result.write import AXIS_ARRAYS, RESULT_VERSION, WARP_ARRAYS
 
 MIN_MESH_SCALE, MAX_MESH_SCALE = 1e-15, 1e4
-"""Scales of meshes lie between these: meshes are checked when they are read, in metres. A free scale may end near 0."""
+"""Bounds of a mesh's scale; a free scale may end near 0."""
 MAX_WARP_COEFFICIENT = 10.0
-"""Coefficients of a warp are about 1 or 0; far more would be no shape of a mesh."""
+"""Maximum coefficient of a warp; plausible ones are about 0 or 1."""
 RESULT_ARRAYS = (
     "T_hand_obj", "T_cam_hand", "T_cam_other_hand", "scale", "frames", "frame_kind", "iou", *AXIS_ARRAYS,
     "candidate_T_hand_obj", "candidate_scale", "candidate_energy", "hand_scale", "hand_covariance", "hand_alternatives",
@@ -40,7 +40,7 @@ RESULT_DEFAULTS: Json = {
     "ambiguous": False, "message": "", "notes": [], "assumptions": {}, "findings": [], "checks": {}, "signs": {},
     "probability_right": None, "probability_right_in_camera": None, "segments": [], "hand_energy": {},
 }  # fmt: skip
-"""Keys that ``result.json`` may lack, and what stands for them."""
+"""Optional keys of ``result.json``, and their defaults."""
 RESULT_FIELDS: dict[str, tuple[type, str]] = {
     "clip": (str, "the clip's name"),
     "method": (str, "the method's name"),
@@ -62,7 +62,7 @@ RESULT_FIELDS: dict[str, tuple[type, str]] = {
     "software": (dict, "an object"),
     "input_sha256": (str, "a checksum"),
 }
-"""Keys of ``result.json``, each with its type."""
+"""Keys of ``result.json``: type, and description in errors."""
 
 
 @check_arguments
@@ -80,7 +80,7 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, Json]:
     """
     folder = Path(folder)
     fields = read_result_record(folder)
-    path = files.inside(folder, "result.npz", "", "the poses of a result")
+    path, record = files.inside(folder, "result.npz", "", "the poses of a result"), folder / "result.json"
     stored = arrays.read(path, lambda key: key in RESULT_ARRAYS)
     frames = _read_frame_names(path, stored, "frames")
     T = len(frames)
@@ -94,13 +94,7 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, Json]:
         direction = arrays.floats(path, stored, "axis_direction", (3,))
         if abs(np.linalg.norm(direction) - 1.0) > 1e-3:
             raise InputError(path, "axis_direction", f"length {np.linalg.norm(direction):.4g}", "a unit vector")
-        point = _check_range(
-            path,
-            "axis_point",
-            arrays.floats(path, stored, "axis_point", (3,)),
-            -MAX_RESULT_DISTANCE_M,
-            MAX_RESULT_DISTANCE_M,
-        )
+        point = _read_point(path, stored, "axis_point")
         axis = Axis(point=point, direction=direction, angle=arrays.floats(path, stored, "angle", (T,)))
     result = Reconstruction(
         clip=fields["clip"],
@@ -116,32 +110,30 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, Json]:
             scale=_read_scales(path, stored, "candidate_scale", (K,)),
             energy=arrays.floats(path, stored, "candidate_energy", (K,)),
         ),
-        energy=read_checks(folder / "result.json", fields["energy"], "energy"),
+        energy=read_checks(record, fields["energy"], "energy"),
         status=Status(fields["status"]),
         message=fields["message"],
         ambiguous=fields["ambiguous"],
-        seconds=read_checks(folder / "result.json", fields["seconds"], "seconds"),
+        seconds=read_checks(record, fields["seconds"], "seconds"),
         options=fields["options"],
         seed=fields["seed"],
         notes=tuple(fields["notes"]),
         assumptions=fields["assumptions"],
-        findings=read_findings(folder / "result.json", fields["findings"]),
-        checks=read_checks(folder / "result.json", fields["checks"]),
-        signs=read_checks(folder / "result.json", fields["signs"], "signs"),
-        probability_right=read_probability(folder / "result.json", fields["probability_right"]),
+        findings=read_findings(record, fields["findings"]),
+        checks=read_checks(record, fields["checks"]),
+        signs=read_checks(record, fields["signs"], "signs"),
+        probability_right=read_probability(record, fields["probability_right"]),
         probability_right_in_camera=read_probability(
-            folder / "result.json", fields["probability_right_in_camera"], "probability_right_in_camera"
+            record, fields["probability_right_in_camera"], "probability_right_in_camera"
         ),
-        T_cam_hand=_read_rigid(path, stored, "T_cam_hand", (T, 4, 4)) if "T_cam_hand" in stored else None,
+        T_cam_hand=_read_hand_poses(path, stored, "T_cam_hand", T),
         hand_scale=float(_read_scales(path, stored, "hand_scale", ())) if "hand_scale" in stored else 1.0,
         hand_alternatives=_read_hand_alternatives(path, stored),
         hand_covariance=arrays.floats(path, stored, "hand_covariance", (6, 6)) if "hand_covariance" in stored else None,
-        hand_energy=_read_hand_energy(folder / "result.json", fields["hand_energy"]),
-        T_cam_other_hand=_read_rigid(path, stored, "T_cam_other_hand", (T, 4, 4))
-        if "T_cam_other_hand" in stored
-        else None,
+        hand_energy=_read_hand_energy(record, fields["hand_energy"]),
+        T_cam_other_hand=_read_hand_poses(path, stored, "T_cam_other_hand", T),
         warp=_read_warp(path, stored) if any(key in stored for key in WARP_ARRAYS) else None,
-        segments=read_segments(folder / "result.json", fields["segments"]),
+        segments=read_segments(record, fields["segments"]),
     )
     return result, fields
 
@@ -165,10 +157,9 @@ def read_result_record(folder: str | Path) -> Json:
     _check_texts(path, {f"notes[{n}]": note for n, note in enumerate(fields["notes"])})
     if version == 1:
         fields |= _convert_version_1(fields)
-    if fields["status"] not in (status.value for status in Status):
-        raise InputError(
-            path, "status", files.shorten_value(fields["status"]), ", ".join(status.value for status in Status)
-        )
+    words = [status.value for status in Status]
+    if fields["status"] not in words:
+        raise InputError(path, "status", files.shorten_value(fields["status"]), ", ".join(words))
     _check_texts(path, {f"assumptions.{files.printable(topic)}": text for topic, text in fields["assumptions"].items()})
     for key in ("energy", "metrics", "seconds"):
         read_checks(path, fields[key], key)
@@ -178,7 +169,7 @@ def read_result_record(folder: str | Path) -> Json:
 
 
 def _read_hand_energy(path: Path, entry: Json) -> dict[str, tuple[float, float]]:
-    """Read the energy of each kind of evidence on the hand, before and after."""
+    """Read the energy of each kind of evidence on the hand, before and after the fit."""
     pairs: dict[str, tuple[float, float]] = {}
     for name, pair in entry.items():
         key = f"hand_energy.{files.printable(name)}"
@@ -190,43 +181,43 @@ def _read_hand_energy(path: Path, entry: Json) -> dict[str, tuple[float, float]]
 
 
 def _check_texts(path: Path, stored: dict[str, object]) -> None:
-    """Raise ``InputError`` for a value that is no text, by its key."""
+    """Raise ``InputError`` for a value that is not a text."""
     for key, value in stored.items():
         if not isinstance(value, str):
             raise InputError(path, key, files.shorten_value(value), "a text")
 
 
 def _convert_version_1(fields: Json) -> Json:
-    """Convert the fields of version 1, which had a sentence for the status and assumptions among the notes."""
+    """Convert the fields of version 1, with the status as a sentence, and assumptions among the notes."""
     guesses = {f"note {n}": note for n, note in enumerate(fields["notes"], start=1) if "guess" in note.lower()}
     status = Status.of_sentence(fields["status"])
     return {"status": status.value, "message": fields["status"], "assumptions": guesses}
 
 
 def _read_frame_names(path: Path, arrays: dict[str, ndarray], key: str) -> tuple[str, ...]:
-    """Check an array of names."""
+    """Read an array of names."""
     if key not in arrays or arrays[key].dtype.kind != "U" or arrays[key].ndim != 1 or len(arrays[key]) == 0:
         raise InputError(path, key, "no array of names", "the frames' names")
     try:
         return tuple(str(text) for text in arrays[key])
-    except ValueError as error:  # code points that do not exist
+    except ValueError as error:  # invalid code points
         raise InputError(path, key, "a damaged text", "the frames' names") from error
 
 
 def _read_frame_kind(path: Path, arrays: dict[str, ndarray], frames: int) -> tuple[FrameKind, ...]:
-    """How each frame's pose was found; in older results, all frames were sampled."""
+    """Read the kind of each frame's pose; in older results, all frames were sampled."""
     if "frame_kind" not in arrays:
         return tuple("sampled" for _ in range(frames))
     kinds: dict[str, FrameKind] = {kind: kind for kind in get_args(FrameKind)}
     texts = _read_frame_names(path, arrays, "frame_kind")
     if len(texts) != frames or not {*texts} <= {*kinds}:
-        input_texts = f"{len(texts)} texts, {files.shorten_value(' '.join(sorted({*texts}))[:80])}"
-        raise InputError(path, "frame_kind", input_texts, f"{', '.join(kinds)} for each of {frames} frames")
+        got = f"{len(texts)} texts, {files.shorten_value(' '.join(sorted({*texts}))[:80])}"
+        raise InputError(path, "frame_kind", got, f"{', '.join(kinds)} for each of {frames} frames")
     return tuple(kinds[text] for text in texts)
 
 
 def _read_iou(path: Path, stored: dict[str, ndarray], kind: tuple[FrameKind, ...]) -> Float[ndarray, "T"]:
-    """Check the IOU of each frame; only interpolated ones may have none."""
+    """Read the IOU of each frame; NaN only for interpolated ones."""
     if "iou" in stored and stored["iou"].dtype.kind == "f" and stored["iou"].shape == (len(kind),):
         unknown = np.isnan(stored["iou"]) & (np.array(kind) == "interpolated")
         known = arrays.floats(path, stored | {"iou": np.where(unknown, 0.0, stored["iou"])}, "iou", (len(kind),))
@@ -237,7 +228,7 @@ def _read_iou(path: Path, stored: dict[str, ndarray], kind: tuple[FrameKind, ...
 def _read_rigid(
     path: Path, stored: dict[str, ndarray], key: str, shape: tuple[int, ...]
 ) -> Float[ndarray, "*batch 4 4"]:
-    """Check an array of rigid motions."""
+    """Read an array of rigid motions."""
     T = arrays.floats(path, stored, key, shape)
     if not se3.is_rigid(T).all():
         raise InputError(path, key, "a matrix that is no rigid motion", "rotations and translations [m]")
@@ -245,8 +236,12 @@ def _read_rigid(
     return T
 
 
+def _read_hand_poses(path: Path, stored: dict[str, ndarray], key: str, frames: int) -> Float[ndarray, "T 4 4"] | None:
+    return _read_rigid(path, stored, key, (frames, 4, 4)) if key in stored else None
+
+
 def _read_hand_alternatives(path: Path, stored: dict[str, ndarray]) -> Float[ndarray, "M 4 4"] | None:
-    """Read where the hand may be instead."""
+    """Read the alternative hand poses."""
     key = "hand_alternatives"
     return _read_rigid(path, stored, key, (len(np.atleast_1d(stored[key])), 4, 4)) if key in stored else None
 
@@ -256,21 +251,22 @@ def _read_warp(path: Path, stored: dict[str, ndarray]) -> Warp:
     centre, radius, factors = WARP_ARRAYS
     coefficients = arrays.floats(path, stored, factors, (N_MONOMIALS, 3))
     _check_range(path, factors, coefficients, -MAX_WARP_COEFFICIENT, MAX_WARP_COEFFICIENT)
-    about = _check_range(
-        path, centre, arrays.floats(path, stored, centre, (3,)), -MAX_RESULT_DISTANCE_M, MAX_RESULT_DISTANCE_M
-    )
-    return Warp(about, float(_read_scales(path, stored, radius, ())), coefficients)
+    return Warp(_read_point(path, stored, centre), float(_read_scales(path, stored, radius, ())), coefficients)
+
+
+def _read_point(path: Path, stored: dict[str, ndarray], key: str) -> Float[ndarray, "3"]:
+    point = arrays.floats(path, stored, key, (3,))
+    return _check_range(path, key, point, -MAX_RESULT_DISTANCE_M, MAX_RESULT_DISTANCE_M)
 
 
 def _read_scales(path: Path, stored: dict[str, ndarray], key: str, shape: tuple[int, ...]) -> Float[ndarray, "..."]:
-    """Check an array of scales."""
     return _check_range(path, key, arrays.floats(path, stored, key, shape, kinds="fiu"), MIN_MESH_SCALE, MAX_MESH_SCALE)
 
 
 def _check_range(
     path: Path, key: str, values: Float[ndarray, "..."], least: float, most: float
 ) -> Float[ndarray, "..."]:
-    """Check that no value is below the least or above the most."""
+    """Return values between ``least`` and ``most``. Raises ``InputError`` for others."""
     for value in (values.min(), values.max()):
         if not least <= value <= most:
             raise InputError(path, key, f"{value:g}", f"{least:g} to {most:g}")

@@ -1,7 +1,4 @@
-"""A reconstruction: the object in the hand in every frame.
-
-The part of a result about one segment of a timeline.
-"""
+"""A reconstruction: the object in the hand in every frame, and the segments of a timeline."""
 
 from __future__ import annotations
 
@@ -29,7 +26,7 @@ if TYPE_CHECKING:
     from getagrip.report.notebook import HtmlPage
 
 MAX_RESULT_DISTANCE_M = 1e4
-"""No object is farther than this from its hand, and no hand from the camera [m]."""
+"""Maximum distance of an object from its hand, and of a hand from the camera [m]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -37,17 +34,17 @@ class SegmentResult(ArrayData):
     """One segment of a timeline.
 
     Attributes:
-        state: what the object does: ``static``, ``contact``, ``grasp`` or ``free``.
-        first: name of its first frame.
-        last: name of its last frame.
-        side: the hand that holds or touches the object; None where none does.
-        iou: mean IOU of its frames whose mask shows the object; None where there is none.
+        state: the object's state: ``static``, ``contact``, ``grasp`` or ``free``.
+        first: name of the first frame.
+        last: name of the last frame.
+        side: the hand that grasps or touches the object; None without one.
+        iou: mean IOU of the frames with a mask of the object; None without any.
         by_masks: True for a grasp that was tracked by its masks only, without an axis.
         T_world_obj: (4, 4) for a static segment, the object's pose in the world frame [m].
         axis_point: (3,) a point on the latent axis of a grasp, in the hand frame [m].
         axis_direction: (3,) the axis' direction in the hand frame, of length 1.
         signs: the measures from which the probability of a grasp is computed, by name (``checks.features``).
-        checks: the value that each check measured, by name; NaN if it could not be measured.
+        checks: the measured value of each check, by name; NaN if unknown.
         probability_right: probability that a grasp is right relative to the hand; None if unknown.
     """
 
@@ -65,13 +62,11 @@ class SegmentResult(ArrayData):
     probability_right: Probability | None = None
 
     def fields(self) -> dict[str, object]:
-        """Return the fields as ``result.json`` holds them."""
+        """Return the segment's entry in ``result.json``."""
         known: dict[str, object] = {
-            "side": self.side,
-            "T_world_obj": self.T_world_obj,
-            "followed": self.by_masks or None,
-        }
-        known |= {"axis_point": self.axis_point, "axis_direction": self.axis_direction}
+            "side": self.side, "T_world_obj": self.T_world_obj, "followed": self.by_masks or None,
+            "axis_point": self.axis_point, "axis_direction": self.axis_direction,
+        }  # fmt: skip
         out: dict[str, object] = {"state": self.state, "first": self.first, "last": self.last, "iou": self.iou}
         out |= {key: value for key, value in known.items() if value is not None}
         if self.state == "grasp":
@@ -80,7 +75,7 @@ class SegmentResult(ArrayData):
 
 
 def describe_grasp_probabilities(segments: Sequence[SegmentResult]) -> str:
-    """Say how probable it is that each grasp of a timeline is right; empty where there is no grasp."""
+    """List the probabilities of a timeline's grasps in words; empty without a grasp."""
     each = [str(segment.probability_right or "unknown") for segment in segments if segment.state == "grasp"]
     return f"probability that its grasps are right: {', '.join(each)}" if each else ""
 
@@ -103,9 +98,7 @@ def _read_segment_result(path: Path, key: str, value: object) -> SegmentResult:
         side=value.get("side"),
         iou=None if np.isnan(iou) else iou,
         by_masks=value.get("followed") is True,
-        T_world_obj=_read_segment_pose(path, f"{key}.T_world_obj", value["T_world_obj"])
-        if "T_world_obj" in value
-        else None,
+        T_world_obj=None if "T_world_obj" not in value else _read_segment_pose(path, key, value["T_world_obj"]),
         axis_point=_read_vector(path, f"{key}.axis_point", value.get("axis_point")),
         axis_direction=_read_vector(path, f"{key}.axis_direction", value.get("axis_direction")),
         signs=_read_segment_numbers(path, f"{key}.signs", value.get("signs")),
@@ -115,24 +108,21 @@ def _read_segment_result(path: Path, key: str, value: object) -> SegmentResult:
 
 
 def _read_segment_numbers(path: Path, key: str, value: object) -> dict[str, float]:
-    """Read numbers by name; none where the entry is missing."""
+    """Read numbers by name; empty for a missing entry."""
     if value is not None and not isinstance(value, dict):
         raise InputError(path, key, shorten_value(value), "a JSON object")
     return read_checks(path, value or {}, key)
 
 
 def _parse_segment_floats(value: object) -> list[float]:
-    """Return the numbers in a list; none where it is no list."""
+    """Return the plausible numbers in a list; empty for other values."""
     values = value if isinstance(value, list) else []
-    return [
-        float(x)
-        for x in values
-        if isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= MAX_RESULT_DISTANCE_M
-    ]
+    numbers = [x for x in values if isinstance(x, int | float) and not isinstance(x, bool)]
+    return [float(x) for x in numbers if abs(x) <= MAX_RESULT_DISTANCE_M]
 
 
 def _read_vector(path: Path, key: str, value: object) -> Float[ndarray, "3"] | None:
-    """Three numbers; None for null."""
+    """Read three numbers; None for null."""
     numbers = _parse_segment_floats(value)
     if value is not None and (len(numbers) != 3 or numbers != value):
         raise InputError(path, key, shorten_value(value), f"3 numbers, at most {MAX_RESULT_DISTANCE_M:g} [m]")
@@ -140,7 +130,8 @@ def _read_vector(path: Path, key: str, value: object) -> Float[ndarray, "3"] | N
 
 
 def _read_segment_pose(path: Path, key: str, value: object) -> Float[ndarray, "4 4"]:
-    """Four rows of four numbers: a rigid motion that takes nothing too far."""
+    """Read the ``T_world_obj`` of a segment: a rigid motion of plausible numbers."""
+    key = f"{key}.T_world_obj"
     expected = "4 rows of 4 numbers: a rotation and a translation [m]"
     rows = [_parse_segment_floats(row) for row in value] if isinstance(value, list) else []
     if [len(row) for row in rows] != [4] * 4:
@@ -151,8 +142,8 @@ def _read_segment_pose(path: Path, key: str, value: object) -> Float[ndarray, "4
 
 
 FrameKind = Literal["sampled", "fitted", "interpolated"]
-"""How the pose of a frame was found: together with the other sampled ones; from its own mask, with the parameters that
-frames share kept fixed; or from its neighbours alone."""
+"""Origin of a frame's pose: fitted together with the other sampled frames; fitted to its own mask, with the shared
+parameters fixed; or interpolated between its neighbours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +163,7 @@ class Axis(ArrayData):
 
 @dataclass(frozen=True, eq=False)
 class Candidates(ArrayData):
-    """The best distinct solutions, least energy first; the first is the result.
+    """The best distinct solutions, lowest energy first; the first is the result.
 
     Attributes:
         T_hand_obj: (K, T, 4, 4) poses, object frame to hand frame [m].
@@ -196,8 +187,8 @@ class Reconstruction(ArrayData):
         T_hand_obj: (T, 4, 4) pose of the object in each frame, object frame to hand frame [m].
         scale: factor by which the mesh is scaled before it is posed; 1 if the clip's scale is known.
         iou: (T,) intersection over union of rendered and observed mask on the full image, outside ignored pixels;
-            NaN in frames whose mask does not show the object.
-        axis: the latent axis in the hand that the object rotates about; None for methods without one.
+            NaN in frames without the object in their mask.
+        axis: the object's latent axis of rotation in the hand; None for methods without one.
         candidates: the best distinct solutions.
         energy: ``total`` and one entry per term, weighted [pixels squared of the 256-pixel crop].
         status: how the fit ended.
@@ -206,30 +197,29 @@ class Reconstruction(ArrayData):
         message: the status as a sentence, with details of this result.
         options: the options of the method.
         seed: seed of the initial poses.
-        notes: frames that were left out and values that are assumed, as sentences.
+        notes: left-out frames and assumed values, as sentences.
         assumptions: the source of each assumed input (scale, shape, or a topic of the clip's provenance).
-        findings: what the checks found unusual, first about the inputs, then about the result.
-        checks: the value that each check measured, by its name; NaN if it could not be measured.
+        findings: findings of the checks, first about the inputs, then about the result.
+        checks: the measured value of each check, by name; NaN if unknown.
         signs: the measures from which the probabilities are computed, by name (``checks.features``).
         probability_right: probability that the poses are right relative to the hand (ADD, up to symmetries, below 10 %
             of the diameter); None if it is not calibrated for this kind of fit.
         probability_right_in_camera: probability that the poses are right relative to the camera.
-        T_cam_hand: (T, 4, 4) pose of the hand, repaired and refined where it was, hand frame to camera frame [m].
-            ``T_hand_obj`` and the axis are relative to it. None: the clip's, for poses from elsewhere and for results
-            of older versions.
-        hand_scale: factor on the size of the clip's hand, about the origin of its frame; 1 but for a hand that was
-            lifted from 2D points and whose size follows from a sensor's depth or from the object's.
-        hand_covariance: (6, 6) of the error that all frames of ``T_cam_hand`` share, in the hand frame: shift of the
-            hand's middle [m], turn about it [rad]; None if hand and object were not solved together.
-        hand_alternatives: (M, 4, 4) where the hand may be instead, as poses in the hand frame, in pairs along the
-            directions in which it is known least; None where ``hand_covariance`` is.
+        T_cam_hand: (T, 4, 4) pose of the hand, possibly repaired and refined, hand frame to camera frame [m];
+            ``T_hand_obj`` and the axis are relative to it. None: the clip's pose, for external poses and for results of
+            older versions.
+        hand_scale: factor on the size of the clip's hand, about the origin of its frame; 1 except for a hand lifted
+            from 2D points whose size follows from a sensor's depth or from the object's size.
+        hand_covariance: (6, 6) covariance of the error shared by all frames of ``T_cam_hand``, in the hand frame: shift
+            of the hand's centre [m], rotation about it [rad]; None if hand and object were not solved together.
+        hand_alternatives: (M, 4, 4) alternative poses of the hand, in the hand frame, in pairs along its most uncertain
+            directions; None if ``hand_covariance`` is None.
         hand_energy: energy of each kind of evidence on the hand, before and after it was solved with the object
-            [pixels squared of the 256-pixel crop]: what moved it.
-        T_cam_other_hand: (T, 4, 4) for a timeline, pose of the other hand, refined where it holds the object; None if
-            the clip has no such hand.
-        warp: deformation of the clip's mesh, before it is scaled and posed, if it was fitted to the masks; None if the
-            mesh is unchanged.
-        frame_kind: how the pose of each frame was found; by default, all frames were sampled.
+            [pixels squared of the 256-pixel crop].
+        T_cam_other_hand: (T, 4, 4) for a timeline, pose of the other hand, refined in its grasps; None if the clip has
+            no such hand.
+        warp: fitted deformation of the clip's mesh, before it is scaled and posed; None if the mesh is unchanged.
+        frame_kind: kind of each frame's pose; by default, all frames were sampled.
         segments: the result for each segment of a timeline; empty for a stable grasp.
     """
 
@@ -282,7 +272,7 @@ class Reconstruction(ArrayData):
     def external(
         clip: str, method: str, frames: tuple[str, ...], T_hand_obj: Float[ndarray, "T 4 4"], scale: float = 1.0
     ) -> Reconstruction:
-        """Make a result of poses from elsewhere: another system's, or the ground truth."""
+        """Make a result of external poses: another system's, or the ground truth."""
         return Reconstruction(
             clip, method, frames, T_hand_obj, scale, iou=np.full(len(frames), np.nan), axis=None,
             candidates=Candidates(T_hand_obj[None], np.array([scale]), np.zeros(1)), energy={}, status=Status.EXTERNAL,
@@ -306,35 +296,35 @@ class Reconstruction(ArrayData):
     def plot(self, clip: Clip | None = None, masks: Masks | None = None) -> Figure:
         """Draw the result: silhouettes, the axis in two views, angle and IOU over time; a notebook shows the figure.
 
-        Without arguments it is drawn with the clip and the masks that ``reconstruct`` made it of. Raises ``UsageError``
-        where a clip is needed: for a result that was read from a folder.
+        By default with the clip and the masks used by ``reconstruct``. Raises ``UsageError`` for a result read from a
+        folder without the ``clip`` argument.
         """
         return view("plot_result")(self, clip, masks)
 
     @check_arguments
     def show(self, clip: Clip | None = None, masks: Masks | None = None, height: int = 820) -> HtmlPage:
-        """Make the page of the result, which plays in 3D; a notebook shows it, ``height`` pixels high.
+        """Make the result's page with a 3D animation; a notebook shows it, ``height`` pixels high.
 
-        Takes and raises what ``plot`` does.
+        Arguments and errors are those of ``plot``.
         """
         return view("make_result_page")(self, clip, masks, height)
 
     @property
     def probabilities(self) -> dict[str, Probability]:
-        """How probable it is that the poses are right, by where; those that are known."""
+        """The known probabilities that the poses are right, by reference frame."""
         each = {"in the hand": self.probability_right, "in the camera": self.probability_right_in_camera}
         return {where: right for where, right in each.items() if right is not None}
 
     @property
     def looks(self) -> str:
-        """How it probably looks, where it has a probability, estimated hands and an assumed mesh; else empty."""
+        """Probable visual quality, for results with a probability and an assumed mesh; else empty."""
         return "" if self.probability_right is None else self.probability_right.by_eye
 
     @property
     def in_hand(self) -> Float[ndarray, "n T 4 4"]:
-        """Poses in the hand; the first ``probability_right.candidates`` of them hold the right ones with 90 %.
+        """Possible poses in the hand; the first ``probability_right.candidates`` contain the right ones with 90 %.
 
-        Where the hand was solved with the object they are those of the result, and the same in each of
+        If the hand was solved with the object, they are the result's, relative to the hand and to each of
         ``hand_alternatives``; else those of ``candidates``.
         """
         if self.hand_alternatives is None:
@@ -346,7 +336,7 @@ class Reconstruction(ArrayData):
     def T_cam_obj(self) -> Float[ndarray, "T 4 4"]:
         """(T, 4, 4) pose of the object in each frame, object frame to camera frame [m].
 
-        Raises ``UsageError`` where ``T_cam_hand`` is not known.
+        Raises ``UsageError`` if ``T_cam_hand`` is None.
         """
         if self.T_cam_hand is None:
             hand = "clip.hand.T_cam_hand[clip.index_of(result.frames)] @ result.T_hand_obj"
@@ -358,7 +348,7 @@ class Reconstruction(ArrayData):
         return np.flatnonzero([kind in kinds for kind in self.frame_kind])
 
     def take(self, index: Int[ndarray, "n"]) -> Reconstruction:
-        """Return the result at some of its frames, in the given order."""
+        """Return the result at some frames, in the given order."""
         found = self.candidates
         return replace(
             self,
@@ -374,13 +364,13 @@ class Reconstruction(ArrayData):
 
     @property
     def mean_iou(self) -> float:
-        """Mean of ``iou`` over the frames in which it is known; NaN where it is in none."""
+        """Mean of ``iou`` over the frames with a known one; NaN without any."""
         known = self.iou[~np.isnan(self.iou)]
         return float(known.mean()) if len(known) else float("nan")
 
 
 class Status(Enum):
-    """A word for programs, and a sentence that says what to do about it."""
+    """Status of a fit: a word for programs, and a sentence with advice for people."""
 
     CONVERGED = "converged", "converged: further steps gain less than 0.1 % of the energy"
     STUCK = "stuck", "converged: no step lowers the energy any more"
@@ -405,12 +395,12 @@ class Status(Enum):
 
     @property
     def failed(self) -> bool:
-        """True if the result, or a part of it, is not to be used."""
+        """True if the result, or a part of it, is unusable."""
         return self in (Status.PARTLY_FAILED, Status.MISFIT, Status.INVISIBLE)
 
     @staticmethod
     def of_sentence(sentence: str) -> Status:
-        """Return the status of a result of version 1, which has the sentence only; ``given`` for one from elsewhere."""
+        """Return the status of a result of version 1 by its sentence; ``given`` for external poses."""
         known = next((status for status in Status if status.sentence == sentence), None)
         if known is not None:
             return known

@@ -1,4 +1,4 @@
-"""Writing the folder of a reconstruction (docs/formats.md)."""
+"""Write the folder of a result (docs/formats.md)."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from getagrip.io import arrays, files, plugins
 from getagrip.result.result import Reconstruction
 
 RESULT_VERSION = 2
-"""Version of the results that are written; older ones are read, too."""
+"""Version of written results; older ones can be read."""
 RESULT_FILES = ("result.json", "result.npz")
 """Files of a result's folder."""
 AXIS_ARRAYS = ("axis_point", "axis_direction", "angle")
 WARP_ARRAYS = ("warp_centre", "warp_radius", "warp_coefficients")
-"""Arrays of ``result.npz`` that are there together or not at all."""
+"""Arrays of ``result.npz`` that are all present or all missing."""
 
 
 @check_arguments
@@ -42,8 +42,8 @@ def write_result(
         input_sha256: checksum of the clip's files (``clip.input_sha256``); ``getagrip evaluate`` refuses a clip with
             another one. Empty for a clip that is only in memory.
         metrics: metrics to record in ``result.json``.
-        clip_folder: the clip's folder, where ``getagrip evaluate`` looks for it.
-        overwrite: replace a result that is in ``folder`` already.
+        clip_folder: the clip's folder, for ``getagrip evaluate``.
+        overwrite: replace a result in ``folder``.
         made_by: names and versions of the software; None for this package.
 
     Returns:
@@ -60,12 +60,11 @@ def write_result(
 
 
 def is_result(folder: Path) -> bool:
-    """Return whether a folder holds a result, and may be replaced."""
+    """Return whether a folder is a result, which may be replaced."""
     return all((folder / name).is_file() for name in RESULT_FILES)
 
 
 def _result_arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
-    """Return the arrays of ``result.npz``."""
     out: dict[str, ndarray] = {
         "T_hand_obj": result.T_hand_obj,
         "scale": np.array(result.scale, dtype=float),
@@ -80,12 +79,9 @@ def _result_arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
         out |= {"T_cam_hand": result.T_cam_hand, "T_cam_obj": result.T_cam_obj}
     if result.hand_scale != 1.0:
         out["hand_scale"] = np.array(result.hand_scale)
-    if result.hand_covariance is not None:
-        out["hand_covariance"] = result.hand_covariance
-    if result.hand_alternatives is not None:
-        out["hand_alternatives"] = result.hand_alternatives
-    if result.T_cam_other_hand is not None:
-        out["T_cam_other_hand"] = result.T_cam_other_hand
+    for name in ("hand_covariance", "hand_alternatives", "T_cam_other_hand"):
+        if (array := getattr(result, name)) is not None:
+            out[name] = array
     if result.warp is not None:
         warp = result.warp
         out |= dict(zip(WARP_ARRAYS, (warp.centre, np.array(warp.radius), warp.coefficients), strict=True))
@@ -102,7 +98,6 @@ def _result_fields(
     clip_folder: str | Path | None,
     made_by: Mapping[str, str],
 ) -> dict[str, object]:
-    """Return the fields of ``result.json``."""
     return {
         "version": RESULT_VERSION,
         "clip": result.clip,
@@ -131,7 +126,7 @@ def _result_fields(
 
 
 def _resolve_folder(folder: str) -> str:
-    """Return an absolute path, as an address where it is no UTF-8; addresses in object stores stay as they are."""
+    """Return an absolute path, as a ``file:`` address if it is not UTF-8; other addresses stay unchanged."""
     if "://" in folder:
         return folder
     whole = Path(folder).resolve()
@@ -139,9 +134,9 @@ def _resolve_folder(folder: str) -> str:
 
 
 def software_versions(*also: str) -> dict[str, str]:
-    """Return the versions of the package, of Python and of the libraries, and the code's checksum.
+    """Return the versions of the package, Python and the libraries, and the code's fingerprint.
 
-    ``also`` are parts of the package that a reconstruction does not depend on, but what is made does.
+    ``also`` are further parts of the package for ``plugins.fingerprint``.
     """
     packages = ("getagrip", "numpy", "scipy", "numba", "trimesh", "opencv-python-headless")
     versions = {package: metadata.version(package) for package in packages}

@@ -1,1 +1,1 @@
-"""Stable grasps of labelled motion (Eq. 2): finding them, their best hinge, the paper's study."""
+"""Stable grasps of labelled motion (Eq. 2): their detection, their best hinge, the paper's study."""

@@ -1,4 +1,4 @@
-"""The definition of a stable grasp, as numbers, names and options. Light: the command line loads it for its help."""
+"""The definition of a stable grasp, and its options. A light import: the command line loads it for its help."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 Points = Literal["vertices", "area", "fragments"]
 Rule = Literal["all-pairs", "first", "consecutive", "touch"]
-"""Which frames are tested: all pairs (Eq. 2), pairs as in the authors' codes, or none, see ``stable.stable_grasps``."""
+"""Pairs of frames that are compared: all (Eq. 2), some as in the authors' codes, or none (``find.stable_grasps``)."""
 GRASP_RULES: tuple[Rule, ...] = get_args(Rule)
 MIN_GRASP_FRAMES = 2
-"""Frames of the shortest grasp that can be a clip: one silhouette says nothing about a motion."""
+"""Minimum number of frames of a grasp that becomes a clip: a single silhouette shows no motion."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Definition:
     Attributes:
         tau: every pair of frames has a contact IOU above this.
         contact: points of the object are in contact within this signed distance of the hand's surface [m].
-        points: points of the object whose contact counts.
-        rule: which pairs of frames are compared.
-        shortest: number of frames of the shortest grasp.
+        points: points of the object that are tested for contact.
+        rule: pairs of frames that are compared.
+        shortest: minimum number of frames of a grasp.
     """
 
     tau: float = 0.5
@@ -51,13 +51,12 @@ class Definition:
 
     @property
     def description(self) -> str:
-        """In words: "vertices within 10 mm, IOU above 0.3, all-pairs, 2 frames or more"."""
+        """The definition in words: "vertices within 10 mm, IOU above 0.3, all-pairs, 2 frames or more"."""
         tested = "any contact" if self.rule == "touch" else f"IOU above {self.tau:g}, {self.rule}"
         return f"{self.points} within {1e3 * self.contact:g} mm, {tested}, {self.shortest} frames or more"
 
 
 def _distance_help(value: str) -> str:
-    """Return the text that help shows for a distance that was not given."""
     return f"(default: {'0, or 10 with --from-masks' if value == 'None' else value})"
 
 
@@ -82,7 +81,7 @@ class GraspOptions:
     annotate, your own (docs/formats.md), or the authors' hot3d_hit.json."""
 
     def definition(self, contact_mm: float = 0.0) -> Definition:
-        """Return the definition of a stable grasp, within ``contact_mm`` where nothing is said.
+        """Return the definition; ``contact_mm`` is the contact distance unless the options have one.
 
         Raises ``UsageError``.
         """
@@ -90,10 +89,8 @@ class GraspOptions:
         return Definition(self.tau, within / 1e3, self.points, self.rule, self.shortest)
 
     def cut(self, note: Callable[[str], None]) -> CutRules:
-        """Return the rule for cutting sequences; the list is read. Raises ``UsageError`` and ``InputError``."""
-        from getagrip.stable_grasps import grasp_lists
+        """Return the rules for cutting sequences, with the list read. Raises ``UsageError`` and ``InputError``."""
         from getagrip.stable_grasps.find import CutRules
+        from getagrip.stable_grasps.grasp_lists import read_listed_grasps
 
-        return CutRules(
-            self.definition(), None if self.listed is None else grasp_lists.read_listed_grasps(self.listed, note)
-        )
+        return CutRules(self.definition(), None if self.listed is None else read_listed_grasps(self.listed, note))

@@ -1,20 +1,20 @@
-"""Stable grasps: intervals in which a hand holds an object at the same places (paper, Eq. 2).
+"""Stable grasps: intervals in which a hand touches an object at constant places (paper, Eq. 2).
 
-A stable grasp is an interval of frames in which every pair of frames i, j has IOU(S_i, S_j) > tau, S_i the points of
-the object that are in contact with the hand in frame i. A sequence's grasps are found greedily: the longest such
-interval, then the longest of those that do not overlap it, and so on.
+A stable grasp is an interval of frames in which every pair of frames i, j has IOU(S_i, S_j) > tau, S_i the object's
+points in contact with the hand in frame i. A sequence's grasps are found greedily: the longest interval, then the
+longest one that does not overlap it, and so on.
 
-Every part of a stable interval is stable. So the earliest start of the stable intervals that end in a frame never moves
-back from frame to frame, and all pairs are tested by looking, in each frame, no further back than the start before.
+Every part of a stable interval is stable. Hence the earliest start of the stable intervals that end in a frame never
+decreases from frame to frame, and testing each frame back to the previous frame's start tests all pairs.
 
-What counts as a point of the object is a choice (``Points``):
+The object's points are a choice (``Points``):
 
-- ``vertices``: its vertices: the paper's;
-- ``area``: points sampled evenly over its surface, so that shares of them are shares of its area, whatever the
-  triangulation: those of the metric of the same name;
-- ``assign_fragments``: patches, each in contact where a vertex of it is: those of the authors' ARCTIC grasps.
+- ``vertices``: its vertices, as in the paper;
+- ``area``: points sampled evenly over its surface, as in the metric of this name: fractions of points are fractions of
+  the area, whatever the triangulation;
+- ``fragments``: patches of vertices, in contact where any of their vertices is, as in the authors' ARCTIC grasps.
 
-Rules for cutting sequences: the definition of a stable grasp, or a list; for imports, ``segment`` and ``study``.
+``CutRules`` cut sequences by this definition, or by a list, for ``import``, ``segment`` and ``study``.
 """
 
 from __future__ import annotations
@@ -37,21 +37,23 @@ from getagrip.stable_grasps.definition import GRASP_RULES, MIN_GRASP_FRAMES, Def
 from getagrip.stable_grasps.grasp_lists import GraspList, ListedGrasp
 
 IOU_BLOCK_FRAMES = 128
-"""Frames whose contact or IOU is computed at once."""
+"""Number of frames whose contact or IOU is computed at once."""
 FRAGMENT_VERTEX_FRACTION = 0.01
-"""Fragments of an object, as a share of its vertices."""
+"""Number of an object's fragments, as a fraction of its number of vertices."""
 ARTICULATION_THRESHOLD_RAD = np.radians(5.0)
-"""An object whose joint has rotated by more than this [rad] has been opened or closed."""
+"""Rotation of an object's joint above which the object is being opened or closed [rad]."""
+FIRST_FRAME_KEY = "first_frame"
+"""Key of a clip's provenance: the number in the name of the sequence's first frame, from which lists count."""
 
 
 def segment(
     clip: Clip, definition: Definition | None = None, progress: Callable[[float], None] = lambda _: None
 ) -> tuple[PairwiseIou, list[tuple[int, int]]]:
-    """Find the stable grasps of a clip from the ground truth; also return the contact IOU of its frames.
+    """Find the stable grasps of a clip with ground truth: first and last frame; also return its frames' contact IOU.
 
-    Where an object has a joint, frames between which it has rotated by more than ``ARTICULATION_THRESHOLD_RAD`` have IOU 0: opening or
-    closing an object ends a grasp. ``progress`` is called with the share of the frames done. Raises ``InputError`` for
-    a clip without ground truth.
+    Frames between which an object's joint rotates by more than ``ARTICULATION_THRESHOLD_RAD`` have IOU 0: opening or
+    closing ends a grasp. ``progress`` is called with the fraction of frames done. Raises ``InputError`` for a clip
+    without ground truth.
     """
     wanted = definition or Definition()
     contact = contact_sets(clip, wanted.contact, wanted.points, progress)
@@ -60,14 +62,11 @@ def segment(
 
 
 def contact_sets(
-    clip: Clip,
-    threshold: float = 0.0,
-    points: Points = "vertices",
-    progress: Callable[[float], None] = lambda _: None,
+    clip: Clip, threshold: float = 0.0, points: Points = "vertices", progress: Callable[[float], None] = lambda _: None
 ) -> Bool[ndarray, "T P"]:
-    """Find the points of the object that touch the true hand in each frame: signed distance at most ``threshold`` [m].
+    """Find the object's points in contact with the true hand in each frame: signed distance up to ``threshold`` [m].
 
-    An object with a joint has it as it truly was (``Truth.joint``). Holes of the hand (MANO's wrist) are closed. Raises
+    Objects with a joint have its true angle (``Truth.joint``). Holes of the hand (MANO's wrist) are closed. Raises
     ``InputError`` for a clip without ground truth, ``UsageError`` for unknown ``points``.
     """
     check_word("points", points, Points)
@@ -93,9 +92,9 @@ def contact_sets(
 
 
 def assign_fragments(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
-    """Assign each vertex to the nearest of some vertices spread over the object.
+    """Assign each vertex to a fragment: that of the nearest of some vertices spread over the object.
 
-    Each is the vertex farthest from those before it and from the mean of all (Hodan et al., "EPOS", CVPR 2020).
+    These are chosen one by one, farthest from all before and from the mean (Hodan et al., "EPOS", CVPR 2020).
     """
     nearest = np.linalg.norm(vertices - vertices.mean(axis=0), axis=1)
     distances = []
@@ -107,15 +106,16 @@ def assign_fragments(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
 
 @dataclass(frozen=True)
 class PairwiseIou:
-    """Contact IOU of pairs of frames, computed where it is asked for: ``iou[rows, columns]`` with two slices.
+    """Contact IOU of pairs of frames, computed on access: ``iou[rows, columns]`` with two slices.
 
-    Sums of counts, and of weights rounded as ``of`` does, are exact in any order: a pair has the same IOU in any slice.
+    Sums of counts, and of weights rounded as in ``of``, are exact in any order: a pair's IOU is equal in all slices.
 
     Attributes:
-        sets: (T, Q) 1 where a point is in contact; points that never are have been left out.
-        weighted: (T, Q) the same times the points' weights.
+        sets: (T, Q) 1 where a point is in contact; points that never touch are left out.
+        weighted: (T, Q) the sets times the points' weights.
         size: (T,) weight of each frame's set.
-        articulation: (T,) angle of the object's joint [rad]; frames that differ by more than ``ARTICULATION_THRESHOLD_RAD`` have IOU 0.
+        articulation: (T,) angle of the object's joint [rad]; frames that differ by more than
+            ``ARTICULATION_THRESHOLD_RAD`` have IOU 0.
     """
 
     sets: Float[ndarray, "T Q"]
@@ -129,10 +129,7 @@ class PairwiseIou:
         weights: Float[ndarray, "P"] | None = None,
         articulation: Float[ndarray, "T"] | None = None,
     ) -> PairwiseIou:
-        """Compute the IOU of contact sets (frame, point).
-
-        ``weights`` of the points, not negative, equal where left out.
-        """
+        """Convert contact sets (frame, point) to pairs; the points' ``weights`` are not negative (default: equal)."""
         angle = np.zeros(len(contact)) if articulation is None else articulation
         touched = contact.any(axis=0)
         if weights is None:
@@ -156,9 +153,9 @@ class PairwiseIou:
 
 
 def contact_iou(contact: Bool[ndarray, "T P"], weights: Float[ndarray, "P"] | None = None) -> Float[ndarray, "T T"]:
-    """Compute the IOU of the contact sets of every pair of frames; 0 for empty sets, also of one with itself.
+    """Compute the contact IOU of every pair of frames; 0 for empty sets, also of an empty set with itself.
 
-    ``weights`` of the points (areas, say) are not negative. Where T is many thousands, ``PairwiseIou`` saves memory.
+    The points' ``weights``, such as areas, are not negative. For thousands of frames ``PairwiseIou`` saves memory.
     """
     return PairwiseIou.of(contact, weights)[:, :]
 
@@ -166,15 +163,15 @@ def contact_iou(contact: Bool[ndarray, "T P"], weights: Float[ndarray, "P"] | No
 def stable_grasps(
     iou: Float[ndarray, "T T"] | PairwiseIou, tau: float = 0.5, shortest: int = 20, rule: Rule = "all-pairs"
 ) -> list[tuple[int, int]]:
-    """Find the first and last frame (both included) of each stable grasp of at least ``shortest`` frames, by start.
+    """Find the stable grasps of at least ``shortest`` frames: first and last frame, both included, in order of start.
 
-    - ``all-pairs``: Eq. 2. Of equally long intervals the earlier is taken.
-    - ``first``: every frame is compared with the interval's first only, and IOU = tau will do: as the ARCTIC grasps of
-      the authors' code were found. An interval that begins in some frame is as long as can be or nothing: one that
-      runs into a longer one is dropped, not cut.
+    - ``all-pairs``: Eq. 2. Of equally long intervals the earlier one is taken.
+    - ``first``: every frame is compared with the interval's first frame only, and IOU = tau suffices, as in the code
+      that found the authors' ARCTIC grasps. From each start there is one interval, of maximum length: if it overlaps a
+      longer one it is dropped, not cut.
     - ``consecutive``: frames t with IOU(t-2, t-1) > tau and IOU(t-1, t) > tau, as in the authors' HOT3D timelines:
-      an interval begins two frames after its first good pair, and contacts may drift without end.
-    - ``touch``: uninterrupted contact, whatever is in contact.
+      an interval starts two frames after its first good pair, and contacts may drift without limit.
+    - ``touch``: uninterrupted contact at any points.
 
     Raises ``UsageError`` for tau outside [0, 1), ``shortest`` below 1, and an unknown rule.
     """
@@ -195,12 +192,11 @@ def stable_grasps(
 
 
 def _blocks(frames: int) -> Iterator[slice]:
-    """All frames, some at a time."""
     return (slice(begin, min(begin + IOU_BLOCK_FRAMES, frames)) for begin in range(0, frames, IOU_BLOCK_FRAMES))
 
 
 def _earliest_starts(iou: Float[ndarray, "T T"] | PairwiseIou, tau: float) -> Int[ndarray, "T"]:
-    """For each frame the earliest start of a stable interval that ends there; the frame after it where it is none."""
+    """For each frame the earliest start of a stable interval that ends in it; without any, the next frame."""
     starts = np.zeros(len(iou), dtype=np.int64)
     earliest = 0
     for rows in _blocks(len(iou)):
@@ -214,7 +210,7 @@ def _earliest_starts(iou: Float[ndarray, "T T"] | PairwiseIou, tau: float) -> In
 
 
 def _longest_first(starts: Int[ndarray, "T"], shortest: int) -> list[tuple[int, int]]:
-    """Return the longest interval, then the longest ones before and after it, and so on."""
+    """Choose the longest interval, then recursively the longest before and after it."""
     taken = []
     free = [(0, len(starts) - 1)]
     while free:
@@ -231,7 +227,7 @@ def _longest_first(starts: Int[ndarray, "T"], shortest: int) -> list[tuple[int, 
 
 
 def _ends_by_first(iou: Float[ndarray, "T T"] | PairwiseIou, tau: float) -> Int[ndarray, "T"]:
-    """For each frame the first one, from itself on, whose IOU with it is below tau; T where there is none."""
+    """For each frame the first frame, from itself on, whose IOU with it is below tau; T without any."""
     ends = np.full(len(iou), len(iou))
     for rows in _blocks(len(iou)):
         for columns in _blocks(len(iou)):
@@ -241,7 +237,7 @@ def _ends_by_first(iou: Float[ndarray, "T T"] | PairwiseIou, tau: float) -> Int[
             if not open_.any():
                 break
             value = iou[rows, columns]
-            unlike = (value < tau) | (value == 0.0)  # an empty set is not like itself, whatever tau
+            unlike = (value < tau) | (value == 0.0)  # an empty set differs from itself, for any tau
             unlike &= np.arange(columns.start, columns.stop) >= np.arange(rows.start, rows.stop)[:, None]
             found = open_ & unlike.any(axis=1)
             ends[rows] = np.where(found, columns.start + unlike.argmax(axis=1), ends[rows])
@@ -249,7 +245,7 @@ def _ends_by_first(iou: Float[ndarray, "T T"] | PairwiseIou, tau: float) -> Int[
 
 
 def _longest_whole(ends: Int[ndarray, "T"], shortest: int) -> list[tuple[int, int]]:
-    """Intervals from each frame to before its end, the longest first, none that overlaps one taken."""
+    """Choose intervals from each frame to before its end: the longest first, none overlapping a chosen one."""
     starts = np.arange(len(ends))
     lengths = ends - starts
     free = np.ones(len(ends), dtype=bool)
@@ -257,14 +253,14 @@ def _longest_whole(ends: Int[ndarray, "T"], shortest: int) -> list[tuple[int, in
     for first in np.argsort(-lengths, kind="stable"):
         if lengths[first] < shortest:
             break
-        if free[first] and free[ends[first] - 1]:  # one taken before is longer: it does not fit in between
+        if free[first] and free[ends[first] - 1]:  # chosen intervals are longer: none lies between
             free[first : ends[first]] = False
             taken.append((int(first), int(ends[first]) - 1))
     return sorted(taken)
 
 
 def _resembling_frames(iou: Float[ndarray, "T T"] | PairwiseIou, tau: float) -> Bool[ndarray, "T"]:
-    """Frames that resemble the frame before, as that one does the one before it."""
+    """Frames whose IOU with the previous frame, and its with the one before, exceed tau."""
     alike = np.zeros(len(iou), dtype=bool)
     for rows in _blocks(len(iou) - 1):
         alike[rows.start + 1 : rows.stop + 1] = iou[rows, rows.start + 1 : rows.stop + 1].diagonal() > tau
@@ -274,36 +270,32 @@ def _resembling_frames(iou: Float[ndarray, "T T"] | PairwiseIou, tau: float) -> 
 
 
 def _runs(wanted: Bool[ndarray, "T"], shortest: int) -> list[tuple[int, int]]:
-    """First and last of each run of frames that are wanted, of at least ``shortest``."""
+    """First and last frame of each run of wanted frames, of at least ``shortest``."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted, [False]])))
     return [(int(first), int(last) - 1) for first, last in edges.reshape(-1, 2) if last - first >= shortest]
 
 
-FIRST_FRAME_KEY = "first_frame"
-"""In a clip's provenance: the number in the name of its sequence's first frame, by which lists count."""
-
-
 @dataclass(frozen=True)
 class CutRules:
-    """How sequences are cut into stable grasps."""
+    """Rules for cutting sequences into stable grasps."""
 
     definition: Definition = field(default_factory=Definition)
-    """Definition of a stable grasp; with a list, of contact only."""
+    """Definition of a stable grasp; with a list, only its definition of contact counts."""
     listed: GraspList | None = None
-    """The grasps, if they are not to be found."""
+    """List of the grasps; None: they are found by the definition."""
 
     @property
     def shortest(self) -> int:
-        """Frames of the shortest grasp."""
+        """Minimum number of frames of a grasp."""
         return self.definition.shortest if self.listed is None else MIN_GRASP_FRAMES
 
     @property
     def description(self) -> str:
-        """In words."""
+        """The rules in words."""
         return self.definition.description if self.listed is None else f"the grasps of {self.listed.file}"
 
     def record(self) -> dict[str, object]:
-        """Return what identifies the rule, as JSON values; for a list also the definition of contact in the grasps."""
+        """Return the identity of the rules as JSON values; for a list, with the definition of contact in its grasps."""
         if self.listed is None:
             return asdict(self.definition)
         contact: dict[str, object] = {"contact": self.definition.contact, "points": self.definition.points}
@@ -312,22 +304,21 @@ class CutRules:
     def of(
         self, clip: Clip, progress: Callable[[float], None] = lambda _: None
     ) -> tuple[PairwiseIou, list[tuple[int, int]]]:
-        """Return the contact IOU of a clip's frames, and its grasps: first and last frame of each, both included.
+        """Return the contact IOU of a clip's frames, and its grasps: first and last frame, both included.
 
         Raises ``InputError`` for a clip without ground truth.
         """
         iou, found = segment(clip, self.definition, progress)
         if self.listed is not None:
             origin = clip.provenance.get(FIRST_FRAME_KEY)
-            spans = [
-                grasp.positions(clip.frames, origin if type(origin) is int else None)
-                for grasp in self.listed.of(clip.name, clip.side, clip.category)
-            ]
+            origin = origin if type(origin) is int else None
+            grasps = self.listed.of(clip.name, clip.side, clip.category)
+            spans = [grasp.positions(clip.frames, origin) for grasp in grasps]
             found = sorted({(int(span[0]), int(span[-1])) for span in spans if len(span) >= MIN_GRASP_FRAMES})
         return iou, found
 
 
 def as_listed(clip: Clip, first: int, last: int) -> ListedGrasp:
-    """Return a grasp of a clip, from its frame ``first`` to ``last``, as lists have it."""
+    """Return frames ``first`` to ``last`` of a clip as a listed grasp."""
     duration = (last + 1 - first) / clip.fps
     return ListedGrasp(clip.name, clip.side, clip.category, clip.frames[first], clip.frames[last], duration)

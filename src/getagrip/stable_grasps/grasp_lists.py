@@ -1,25 +1,24 @@
-"""Lists of stable grasps: those that were found, those of other people, those that were marked by hand.
+"""Lists of stable grasps: found by this package, made by others, or marked by hand.
 
-One format is written, the JSON of docs/formats.md:
+The JSON of docs/formats.md is written:
 
     {"version": 1, "cut": {...}, "grasps": [{"sequence": "s01--box_use_01--box--left", "side": "left", "object": "box",
                                              "first": "00033", "last": "00073", "duration": 1.37}, ...]}
 
-Read are also a CSV of these columns, bare lists as ``annotate`` exports them, and the authors' (``timelines``).
+A CSV of these columns, bare lists as ``annotate`` exports them, and the lists of the paper's authors can be read, too.
 
-Lists of what hands do with objects, as the paper's authors published them: HOT3D's and EPIC's (``*_hit.json``).
+The authors publish timelines of HOT3D and EPIC (``*_hit.json``):
 
     [{"seq_name": "P0010_b152143e", "cat": "cellphone", "total_end": 3594,
       "segments": [{"st": 363, "ed": 383, "side": "left", "ref": "inhand"}, ...]}, ...]
 
-``ref`` is ``inhand`` (a stable grasp, by their weakest test: ``stable``, ``consecutive``), ``scene_static`` or
-``scene_dynamic``. ``st`` and ``ed`` are both included; a segment may begin in the frame in which the one before it
-ends. Some segments end before they start. So their code (https://github.com/zhifanzhu/objects-along-hit) makes and
-reads the lists.
+``ref`` is ``inhand`` (a stable grasp by their weakest test, ``consecutive``), ``scene_static`` or ``scene_dynamic``.
+``st`` and ``ed`` are both included; a segment may begin in the last frame of the one before. Some segments end before
+they start. Their code (https://github.com/zhifanzhu/objects-along-hit) writes and reads the lists in this way.
 
-In HOT3D's, numbers count, from 0, the images of the RGB camera (of a Quest 3 the first large one), and ``total_end`` is
-their number. EPIC's has ``vid`` for ``seq_name``, EPIC's own frame numbers, and besides ``timeline_name``,
-``main_side``, and ``mp4_name``, by which EPIC-Grasps' table knows the object.
+In HOT3D's lists, numbers count the images of the RGB camera (on a Quest 3, the first large camera) from 0, and
+``total_end`` is their number. EPIC's lists have ``vid`` for ``seq_name``, EPIC's own frame numbers, and additionally
+``timeline_name``, ``main_side``, and ``mp4_name``, by which EPIC-Grasps' table identifies the object.
 """
 
 from __future__ import annotations
@@ -45,15 +44,28 @@ from getagrip.io.files import Json, is_portable_name, printable, shorten_value
 from getagrip.io.terminal import format_count
 
 STATE_OF_REF: dict[str, State] = {"inhand": "grasp", "scene_static": "static", "scene_dynamic": "contact"}
-"""Our name of each ``ref``."""
+"""State of a segment with each ``ref``."""
 SIDE_OF_NAME: dict[object, Side | None] = {"left": "left", "right": "right", None: None}
 MAX_TIMELINE_SEGMENTS = 100_000
-"""Most segments of a list; HOT3D's has 3288."""
+"""Maximum number of segments of a timeline; all of HOT3D has 3288."""
+GRASP_LIST_VERSION = 1
+GRASP_LIST_FILE = "grasps.json"
+"""Name of the list that is stored beside the clips cut by it."""
+MAX_GRASP_LIST_BYTES = 64 * 2**20
+"""Maximum size of a list [bytes]."""
+MAX_GRASP_S = 86400.0
+"""Maximum duration of a grasp [s]."""
+MAX_FRAME_NUMBER = 10_000_000
+CLIP_NAME_SEPARATOR = "--"
+"""Separator of subject, sequence, object and side in a clip's name."""
+EXPECTED_GRASP_LIST = "a list of grasps, CSV or JSON"
+REQUIRED_GRASP_COLUMNS = ("sequence", "side", "object")
+"""Columns that every table must have."""
 
 
 @dataclass(frozen=True)
 class ListedTimeline:
-    """An interaction with an object; its segments count frames as the list does."""
+    """A timeline of a list: an interaction with an object; its segments count frames as the list does."""
 
     sequence: str
     category: str
@@ -61,16 +73,16 @@ class ListedTimeline:
 
     @property
     def grasped(self) -> tuple[Segment, ...]:
-        """The stable grasps."""
+        """The segments that are stable grasps."""
         return tuple(segment for segment in self.segments if segment.state == "grasp")
 
 
 def read_hot3d_timelines(
     path: Path, content: Sequence[Json], note: Callable[[str], None]
 ) -> tuple[tuple[ListedTimeline, ...], dict[str, int]]:
-    """Read HOT3D's timelines, and the number of frames of each recording.
+    """Read the authors' HOT3D timelines, and the number of frames of each recording.
 
-    Segments that end before they start are skipped, and reported. Raises ``InputError`` in the name of the file.
+    Segments that end before they start are skipped, and reported by ``note``. Raises ``InputError``.
     """
     found = []
     frames: dict[str, int] = {}
@@ -84,15 +96,14 @@ def read_hot3d_timelines(
         category = timeline.get("cat")
         if not isinstance(category, str):
             raise InputError(path, f"[{n}].cat", shorten_value(category), "the name of an object")
-        found.append(
-            ListedTimeline(name, category, parse_timeline_segments(path, f"[{n}].segments", timeline.get("segments")))
-        )
+        segments = parse_timeline_segments(path, f"[{n}].segments", timeline.get("segments"))
+        found.append(ListedTimeline(name, category, segments))
     report_backwards(path, content, note)
     return tuple(found), frames
 
 
 def parse_timeline_segments(path: Path, key: str, value: object) -> tuple[Segment, ...]:
-    """Parse the segments of a timeline; those that end before they start are left out. Raises ``InputError``."""
+    """Parse the segments of a timeline, without those that end before they start. Raises ``InputError``."""
     if not isinstance(value, list) or not all(isinstance(segment, dict) for segment in value):
         raise InputError(path, key, shorten_value(value), "a list of objects")
     if len(value) > MAX_TIMELINE_SEGMENTS:
@@ -104,11 +115,8 @@ def parse_timeline_segments(path: Path, key: str, value: object) -> tuple[Segmen
         if not isinstance(ref, str) or ref not in STATE_OF_REF:
             raise InputError(path, f"{key}[{k}].ref", shorten_value(ref), f"one of {', '.join(STATE_OF_REF)}")
         state = STATE_OF_REF[ref]
-        if (
-            (side is not None and not isinstance(side, str))
-            or side not in SIDE_OF_NAME
-            or (side is None and state == "grasp")
-        ):
+        known = (side is None or isinstance(side, str)) and side in SIDE_OF_NAME
+        if not known or (side is None and state == "grasp"):
             raise InputError(path, f"{key}[{k}].side", shorten_value(side), "left or right")
         if first <= last:
             out.append(Segment(state, first, last, None if state == "static" else SIDE_OF_NAME[side]))
@@ -116,7 +124,7 @@ def parse_timeline_segments(path: Path, key: str, value: object) -> tuple[Segmen
 
 
 def report_backwards(path: Path, content: Sequence[Json], note: Callable[[str], None]) -> None:
-    """Say how many segments end before they start; ``content`` has been read."""
+    """Report by ``note`` the number of segments that end before they start; ``content`` is valid."""
     backwards = [s["ref"] for timeline in content for s in timeline["segments"] if s["ed"] < s["st"]]
     if backwards:
         grasps = format_count(count := backwards.count("inhand"), "grasp")
@@ -131,55 +139,39 @@ def parse_frame_number(path: Path, key: str, value: object) -> int:
     return value
 
 
-GRASP_LIST_VERSION = 1
-GRASP_LIST_FILE = "grasps.json"
-"""The name of the list beside the clips that were cut by it."""
-MAX_GRASP_LIST_BYTES = 64 * 2**20
-"""Limit in bytes of a list."""
-MAX_GRASP_S = 86400.0
-"""No grasp lasts longer [s]."""
-MAX_FRAME_NUMBER = 10_000_000
-CLIP_NAME_SEPARATOR = "--"
-"""Stands between subject, sequence, object and side in a clip's name."""
-EXPECTED_GRASP_LIST = "a list of grasps, CSV or JSON"
-REQUIRED_GRASP_COLUMNS = ("sequence", "side", "object")
-"""Columns that no table can lack."""
-
-
 @dataclass(frozen=True)
 class ListedGrasp:
-    """An object in a hand, from the first to the last frame, both included."""
+    """A grasp of a list, from the first to the last frame, both included."""
 
     sequence: str
-    """A clip's name, or its beginning: see ``is_of``."""
+    """Name of a clip, or the beginning of names: see ``is_of``."""
     side: Side
     object: str
-    """Its category."""
+    """Category of the object."""
     first: str | int
-    """A frame's name; or a number, counted from 0 over the frames of the sequence."""
+    """Name of the first frame; or its number, counted from 0 over the frames of the sequence."""
     last: str | int
+    """Name or number of the last frame."""
     duration: float | None = None
-    """In seconds."""
+    """Duration [s]; None: unknown."""
 
     def is_of(self, name: str, side: Side, category: str) -> bool:
-        """Return whether it is a grasp of a clip or track: of its hand and object, and of its name up to a ``--``.
+        """Return whether a clip or track has the grasp's hand and object, and a name that begins with its sequence.
 
-        So ``s01--box_use_01`` is the sequence of the clip ``s01--box_use_01--box--left--2``. ``/`` or ``_`` may stand
-        between the parts as well, as in ``s01/box_use_01``.
+        The sequence ends at a ``--``: the clip ``s01--box_use_01--box--left--2`` has the sequence ``s01--box_use_01``.
+        ``/`` or ``_`` may separate the parts as well, as in ``s01/box_use_01``.
         """
         if (self.side, self.object) != (side, category):
             return False
         parts = name.split(CLIP_NAME_SEPARATOR)
         begins = [parts[:n] for n in range(min(2, len(parts)), len(parts) + 1)]
-        return any(
-            self.sequence == between.join(begin) for begin in begins for between in (CLIP_NAME_SEPARATOR, "/", "_")
-        )
+        return self.sequence in {sep.join(begin) for begin in begins for sep in (CLIP_NAME_SEPARATOR, "/", "_")}
 
     def positions(self, frames: Sequence[str], origin: int | None = None) -> Int[ndarray, "n"]:
-        """Return the indices of the frames, named in order, that belong to it.
+        """Return the indices of the ordered, named frames that belong to the grasp.
 
         Names that are numbers are compared as numbers. ``origin`` is the number in the name of the sequence's first
-        frame; where nobody knows it, counted frames are those that are given here.
+        frame; None: numbers count the frames passed here.
         """
         at, low, high = np.arange(len(frames)), self.first, self.last
         numbered = all(name.isdecimal() for name in frames)
@@ -195,7 +187,7 @@ class ListedGrasp:
         return np.flatnonzero((at >= int(low)) & (at <= int(high)))
 
     def row(self) -> files.Json:
-        """Return the row of a list file."""
+        """Return the grasp's row of a list file."""
         named = isinstance(self.first, str)
         frames = {"first" if named else "start": self.first, "last" if named else "end": self.last}
         about = {"sequence": self.sequence, "side": self.side, "object": self.object}
@@ -204,15 +196,15 @@ class ListedGrasp:
 
 @dataclass(frozen=True)
 class GraspList:
-    """A list that was read."""
+    """The content of a list file."""
 
     file: str
     sha256: str
     grasps: tuple[ListedGrasp, ...]
     lengths: Mapping[str, int] = field(default_factory=dict)
-    """How many frames each recording has, where the list says."""
+    """Number of frames of each recording, as far as the list has it."""
     timelines: tuple[ListedTimeline, ...] = ()
-    """Timelines, where the list is one of these."""
+    """Timelines of the list; empty for lists of grasps."""
 
     def of(self, name: str, side: Side, category: str) -> list[ListedGrasp]:
         """Return the grasps of a clip or track."""
@@ -220,30 +212,27 @@ class GraspList:
 
 
 def write_listed_grasps(path: Path, grasps: Sequence[ListedGrasp], cut: Mapping[str, object]) -> None:
-    """Write a list; ``cut`` says how it was made."""
+    """Write a list; ``cut`` records the rules that made it."""
     with files.new_file(path) as part:
         files.write_json(part, {"version": GRASP_LIST_VERSION, "cut": cut, "grasps": [grasp.row() for grasp in grasps]})
 
 
 def read_cut(path: Path) -> object:
-    """Read how a list that ``write_listed_grasps`` has written was made. Raises ``InputError``."""
+    """Read the record of the rules that made a list of ``write_listed_grasps``. Raises ``InputError``."""
     content = files.read_json(path)
     _check_version(path, content)
     return content.get("cut")
 
 
 def parse_contact_distance(path: Path, key: str, value: object) -> float:
-    """Parse a distance within which points are in contact [m]. Raises ``InputError``."""
+    """Parse a contact distance [m]. Raises ``InputError``."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 0.05:
         raise InputError(path, key, shorten_value(value), "0 to 0.05 m")
     return float(value)
 
 
 def read_listed_grasps(path: Path, note: Callable[[str], None] = lambda _: None) -> GraspList:
-    """Read a list of grasps, in any of the formats that are known.
-
-    Raises ``InputError``, which names the row and the key.
-    """
+    """Read a list of grasps in any known format. Raises ``InputError`` with the row and the key."""
     content = files.read_bytes(path, MAX_GRASP_LIST_BYTES)
     checksum = sha256(content).hexdigest()
     if content.lstrip()[:1] not in (b"[", b"{"):
@@ -253,7 +242,7 @@ def read_listed_grasps(path: Path, note: Callable[[str], None] = lambda _: None)
     try:
         value = json.loads(content)
     except (ValueError, RecursionError) as error:  # RecursionError: nested thousands deep
-        raise InputError(path, "", f"text that is no JSON ({error})", EXPECTED_GRASP_LIST) from error
+        raise InputError(path, "", f"invalid JSON ({error})", EXPECTED_GRASP_LIST) from error
     where = ""
     if isinstance(value, dict):
         _check_version(path, value)
@@ -262,9 +251,8 @@ def read_listed_grasps(path: Path, note: Callable[[str], None] = lambda _: None)
         raise InputError(path, where, shorten_value(value), "a list of grasps")
     for n, row in enumerate(value):
         if not isinstance(row, dict):
-            raise InputError(
-                path, f"{where}[{n}]", shorten_value(row), "a grasp: an object with sequence, side and object"
-            )
+            expected = "a grasp: an object with sequence, side and object"
+            raise InputError(path, f"{where}[{n}]", shorten_value(row), expected)
     if value and "segments" in value[0]:
         found, lengths = read_hot3d_timelines(path, value, note)
         grasps = tuple(
@@ -290,16 +278,12 @@ def _check_heads(path: Path, heads: Sequence[str]) -> None:
     for head in (*REQUIRED_GRASP_COLUMNS, *heads):
         if heads.count(head) != 1:
             got = f"{heads.count(head)} columns of this name among {shorten_value(heads)}"
-            raise InputError(
-                path,
-                f"line 1, {printable(head)}",
-                got,
-                f"one; those of a list are {', '.join(REQUIRED_GRASP_COLUMNS)}, ...",
-            )
+            expected = f"one; those of a list are {', '.join(REQUIRED_GRASP_COLUMNS)}, ..."
+            raise InputError(path, f"line 1, {printable(head)}", got, expected)
 
 
 def parse_grasp_row(path: Path, where: str, row: files.Json) -> ListedGrasp:
-    """Parse a row; ``where`` begins its key. Raises ``InputError``."""
+    """Parse a row; ``where`` is the prefix of its keys in errors. Raises ``InputError``."""
     sequence = row.get("sequence", row.get("clip"))
     for key, value in (("sequence", sequence), ("object", row.get("object"))):
         if not (isinstance(value, str) and value.strip() and value.isprintable() and len(value) <= 400):
@@ -315,7 +299,7 @@ def parse_grasp_row(path: Path, where: str, row: files.Json) -> ListedGrasp:
 
 
 def _parse_frame_range(path: Path, where: str, row: Mapping[str, object]) -> tuple[str, str] | tuple[int, int]:
-    """Names of the first and the last frame; or, where there are none, their numbers from 0."""
+    """Parse the names of the first and the last frame; without names, their numbers from 0."""
     if row.get("first") or row.get("last"):
         names = []
         for key in ("first", "last"):

@@ -1,8 +1,8 @@
-"""Segments of a timeline from true poses: the state of an object in each frame of labelled motion.
+"""Segments of a timeline from true poses: the object's state in each frame of labelled motion.
 
-Static is a run of frames in which the object stays where it is in the first of them and no hand touches it. Grasps are
-those of Eq. 2. What lies between is an unstable contact where a hand touches the object in any of its frames, else a
-free motion.
+A static segment is a run of frames in which the object stays at the place of the first frame and no hand touches it.
+Grasps are those of Eq. 2. The frames in between are an unstable contact if a hand touches the object in any of them,
+else a free motion.
 """
 
 from __future__ import annotations
@@ -22,18 +22,17 @@ from getagrip.stable_grasps.definition import Definition
 from getagrip.stable_grasps.find import PairwiseIou, contact_sets, stable_grasps
 
 MAX_STATIC_DISPLACEMENT_M = 0.003
-"""A static object's surface is displaced by less than this, on average over its vertices [m]."""
+"""Maximum displacement of a static object, mean over its vertices [m]."""
 MIN_STATIC_RUN_FRAMES = 5
-"""Frames: fewer are a pause, or chance."""
+"""Minimum number of frames of a static run: fewer are a pause, or chance."""
 STATIC_MARGIN_FRAMES = 30
-"""Frames of a long static segment that belong to what comes before it, and to what comes after."""
+"""Number of a long static segment's frames that belong to the interaction before it, and to the one after it."""
 
 
 def true_segments(clip: Clip, definition: Definition) -> tuple[Segment, ...]:
-    """Segment a whole clip, every frame in one segment; its one hand is that of the segments with a side.
+    """Segment a whole clip, every frame in one segment; grasps and contacts are those of its single hand.
 
-    ``definition`` is what contact and a grasp are. Raises ``InputError`` for a clip without ground truth or without
-    the camera's poses.
+    ``definition`` defines contact and grasp. Raises ``InputError`` for a clip without ground truth or camera poses.
     """
     return segment_by_contact(clip, {clip.side: contact_sets(clip, definition.contact, definition.points)}, definition)
 
@@ -41,15 +40,13 @@ def true_segments(clip: Clip, definition: Definition) -> tuple[Segment, ...]:
 def segment_by_contact(
     clip: Clip, contact: Mapping[Side, Bool[ndarray, "T P"]], definition: Definition
 ) -> tuple[Segment, ...]:
-    """Segment a whole clip by the contact sets of one hand or both.
+    """Segment a whole clip by the contact sets of one hand or both; the clip's own hand has precedence.
 
-    Where both hold the object, the clip's hand counts.
-
-    Raises ``InputError`` for a clip without the camera's poses.
+    Raises ``InputError`` for a clip without camera poses.
     """
     if clip.world is None:
         raise InputError(clip.origin, "camera.T_world_cam", "no such key", "the camera's poses in the world")
-    assert clip.truth is not None  # contact sets are made from it
+    assert clip.truth is not None  # contact sets need it
     touched = {side: np.asarray(sets.any(axis=1)) for side, sets in contact.items()}
     T_world_obj = clip.world.T_world_cam @ clip.truth.T_cam_obj
     still = static_runs(T_world_obj, clip.truth.scale * clip.mesh.vertices, np.any([*touched.values()], axis=0))
@@ -57,17 +54,16 @@ def segment_by_contact(
     for side, sets in contact.items():
         spans = stable_grasps(PairwiseIou.of(sets), definition.tau, definition.shortest, definition.rule)
         found += [Segment("grasp", first, last, side) for first, last in spans]
-    apart = [
-        s for s in resolve_overlaps(found, len(clip), clip.side) if s.state == "static" or len(s) >= definition.shortest
-    ]
+    apart = resolve_overlaps(found, len(clip), clip.side)
+    apart = tuple(s for s in apart if s.state == "static" or len(s) >= definition.shortest)
     return tuple(_fill_between_segments(apart, touched, len(clip)))
 
 
 def resolve_overlaps(segments: Sequence[Segment], frames: int, side: Side) -> tuple[Segment, ...]:
     """Resolve overlaps of segments.
 
-    Grasps of hand ``side`` take precedence over those of the other hand, these over contacts, these over static and
-    free segments, and otherwise later segments over earlier ones.
+    The order of precedence: grasps of the hand ``side``, grasps of the other hand, contacts, static and free segments;
+    among equals the later segment.
     """
     order: dict[str, int] = {"static": 0, "free": 0, "contact": 1, "grasp": 2}
     over = sorted(segments, key=lambda s: (order[s.state], s.state == "grasp" and s.side == side, s.first))
@@ -80,10 +76,10 @@ def resolve_overlaps(segments: Sequence[Segment], frames: int, side: Side) -> tu
 
 
 def interactions(segments: Sequence[Segment]) -> Iterator[Int[ndarray, "n"]]:
-    """Yield the frames of each timeline of a long recording: the interactions between two long static segments.
+    """Yield the frames of each interaction of a long recording, between two long static segments.
 
-    Such a segment is longer than twice ``STATIC_MARGIN_FRAMES``; its first frames belong to the timeline before it, its last to that
-    after it. Where the object is never held or touched in between, there is no timeline.
+    A static segment is long if it has more than 2 ``STATIC_MARGIN_FRAMES``: this number of frames at its start belongs
+    to the interaction before it, at its end to the one after. Without any contact in between there is no interaction.
     """
     if not segments:
         return
@@ -102,7 +98,7 @@ def interactions(segments: Sequence[Segment]) -> Iterator[Int[ndarray, "n"]]:
 def static_runs(
     T_world_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"], touched: Bool[ndarray, "T"]
 ) -> Iterator[tuple[int, int]]:
-    """Yield the first and last frame of each run in which the untouched object stays where the run began."""
+    """Yield first and last frame of each run in which the untouched object stays at the place of the run's start."""
     first = 0
     while first < len(T_world_obj):
         length = _static_length(T_world_obj[first:], vertices, touched[first:])
@@ -116,7 +112,7 @@ def static_runs(
 def _static_length(
     T_world_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"], touched: Bool[ndarray, "T"]
 ) -> int:
-    """For how many frames the object stays where it is in the first, untouched."""
+    """Count the frames in which the object stays untouched at the first frame's place."""
     at_first = se3.transform(T_world_obj[0], vertices)
     begin, end = 0, MIN_STATIC_RUN_FRAMES
     while begin < len(T_world_obj):
@@ -131,7 +127,7 @@ def _static_length(
 def _fill_between_segments(
     found: Sequence[Segment], touched: Mapping[Side, Bool[ndarray, "T"]], frames: int
 ) -> Iterator[Segment]:
-    """Yield the segments, and what lies between them."""
+    """Yield the segments, and contact or free segments for the frames in between."""
     at = 0
     for segment in (*found, None):
         end = frames if segment is None else segment.first

@@ -1,14 +1,12 @@
-"""Changes within a stable grasp and outside it (the paper's study of 3D-labelled sequences, Sec.
+"""The paper's study of 3D-labelled sequences (Sec. 3.2): changes within a stable grasp, and outside it.
 
-3.2).
+Every measure is one number per frame, in the frames of a grasp and before and after it:
 
-Every measure is one number per frame, of a grasp's own frames and of those before and after it:
-
-- how much of the contact stays: mean IOU of the frame's contact with that of the grasp's (other) frames;
-- how far the fingertips have moved and rotated from their mean pose in the grasp: the pads of the five fingers, in the
-  hand frame, by the rotation and translation nearest to their vertices' motion;
-- how far the object is from an approximation of its pose: one pose in the hand, or a rotation about one axis (Eq. 3, in
-  ``approximation``), fitted to the grasp's frames. Outside the grasp the angle is free as inside, the axis is kept.
+- contact: mean IOU of the frame's contact with that of the grasp's (other) frames;
+- fingertips: translation and rotation of the five finger pads from their mean pose in the grasp, in the hand frame, by
+  the rigid motion nearest to that of their vertices;
+- object: deviation from an approximation of its pose fitted to the grasp's frames: one pose in the hand, or a rotation
+  about one axis (Eq. 3, ``axis``). Outside the grasp the axis is kept, and the angle is optimal as inside.
 
 Time is normalised: 0 at the grasp's first frame, 1 at its last.
 """
@@ -31,9 +29,10 @@ from getagrip.stable_grasps.find import PairwiseIou, as_listed, segment
 from getagrip.stable_grasps.grasp_lists import ListedGrasp
 
 STUDY_MARGIN_FRACTION = 0.5
-"""How much is measured before and after a grasp, as a share of its length."""
+"""Time before and after a grasp that is measured, as a fraction of the grasp's length."""
 NORMALISED_TIMES: Float[ndarray, "S"] = np.linspace(-STUDY_MARGIN_FRACTION, 1.0 + STUDY_MARGIN_FRACTION, 81)
-"""Normalised times at which curves are drawn."""
+"""Normalised times of the curves' samples."""
+_DEG_PER_RAD, _MM_PER_M = float(np.degrees(1.0)), 1e3
 
 
 @dataclass(frozen=True)
@@ -42,8 +41,8 @@ class StudyMeasure:
 
     Attributes:
         label: name in tables and figures.
-        unit: unit in which it is shown.
-        factor: from SI to this unit.
+        unit: unit in tables and figures.
+        factor: factor from SI to this unit.
     """
 
     label: str
@@ -51,7 +50,6 @@ class StudyMeasure:
     factor: float
 
 
-_DEG_PER_RAD, _MM_PER_M = float(np.degrees(1.0)), 1e3
 STUDY_MEASURES = {
     "contact_iou": StudyMeasure("contact IOU with the grasp", "", 1.0),
     "fingers_turned": StudyMeasure("fingertip rotation", "deg", _DEG_PER_RAD),
@@ -64,12 +62,12 @@ STUDY_MEASURES = {
     "at_hand_rotation": StudyMeasure("rotation error, 1-DoF of the full pose, axis at the hand", "deg", _DEG_PER_RAD),
     "at_hand_place": StudyMeasure("centre error, 1-DoF of the full pose, axis at the hand", "mm", _MM_PER_M),
 }
-"""By name. ``one_dof_rotation`` is of the best approximation of the rotations alone, as in the paper's figures."""
+"""By name. ``one_dof_rotation`` belongs to the best approximation of rotations alone, as in the paper's figures."""
 
 
 @dataclass(frozen=True)
 class StudiedGrasp:
-    """A stable grasp, measured. All in SI units.
+    """The measures of a stable grasp, in SI units.
 
     Attributes:
         clip: name of the clip.
@@ -78,13 +76,12 @@ class StudiedGrasp:
         start: first frame.
         end: last frame, included.
         duration: duration [s].
-        listed: the same, as lists have it.
-        inside: per measure, its mean over the grasp's frames; NaN where it has no value.
-        outside: per measure, its mean over the frames within ``STUDY_MARGIN_FRACTION`` before and after that do not belong to the
-            grasp.
-        curves: per measure, (S,): its value at ``NORMALISED_TIMES``; NaN where the sequence has no frame.
+        listed: the grasp as a row of a list.
+        inside: mean of each measure over the grasp's frames; NaN without a value.
+        outside: mean of each measure over other frames within ``STUDY_MARGIN_FRACTION`` before and after the grasp.
+        curves: (S,) each measure at ``NORMALISED_TIMES``; NaN beyond the sequence.
         turned: range of the angle about the best axis of the rotations [rad].
-        hinge: best rotation about one axis for the full poses, the axis anywhere.
+        hinge: best hinge of the full poses, its axis anywhere.
     """
 
     clip: str
@@ -103,15 +100,15 @@ class StudiedGrasp:
 
 @dataclass(frozen=True)
 class Spread:
-    """A measure over grasps.
+    """The distribution of a measure over grasps.
 
     Attributes:
         mean: mean.
-        std: standard deviation of these grasps, divided by n.
+        std: standard deviation, divided by n.
         low: first quartile.
         middle: median.
         high: third quartile.
-        grasps: number of grasps that have a value.
+        grasps: number of grasps with a value.
     """
 
     mean: float
@@ -123,7 +120,7 @@ class Spread:
 
     @staticmethod
     def of(values: Sequence[float] | Float[ndarray, "n"]) -> Spread:
-        """Compute the spread of values; NaN values are ignored, and all but the count is NaN where none is left."""
+        """Compute the spread of values without NaN; without any value all but the number is NaN."""
         value = np.asarray(values, dtype=float)
         value = value[np.isfinite(value)]
         if len(value) == 0:
@@ -184,15 +181,15 @@ def study_grasp(clip: Clip, iou: PairwiseIou, first: int, last: int) -> StudiedG
 def _hinge_errors(
     hinge: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]
 ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N"]]:
-    """Angle [rad] and distance of the centre [m] between poses and a hinge's nearest."""
+    """Errors of a hinge's nearest poses: angle [rad], and distance of the centre [m]."""
     R_found, c_found = hinge.nearest(R, c)
     return se3.angle_between(R_found, R), np.linalg.norm(c_found - c, axis=1)
 
 
 def object_in_hand(clip: Clip) -> tuple[Float[ndarray, "T 3 3"], Float[ndarray, "T 3"], float]:
-    """Return rotation, position of the centre [m] and ``size`` [m] of the object in the true hand's frame (Eq. 3).
+    """Compute rotation, position of the centre [m] and ``size`` [m] of the object in the true hand's frame (Eq. 3).
 
-    The centre is that of the object's surface, and the size its radius of gyration over the root of 3. Raises
+    The centre is that of the object's surface, the size its radius of gyration over the root of 3. Raises
     ``InputError`` for a clip without ground truth.
     """
     truth = _require_truth(clip)
@@ -210,9 +207,7 @@ def _require_truth(clip: Clip) -> Truth:
 
 
 def mean_contact_iou(iou: PairwiseIou | Float[ndarray, "T T"], frames: slice, grasp: slice) -> Float[ndarray, "N"]:
-    """Return the mean contact IOU of each of some frames with all frames of a grasp but itself.
-
-    NaN where there is none.
+    """Compute the mean contact IOU of each of ``frames`` with all other frames of ``grasp``; NaN without others.
 
     Both slices count the sequence's frames.
     """
@@ -226,10 +221,10 @@ def mean_contact_iou(iou: PairwiseIou | Float[ndarray, "T T"], frames: slice, gr
 def fingertip_motion(
     vertices: Float[ndarray, "N V 3"], pads: Sequence[Int[ndarray, "_"]], grasp: slice
 ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N"]]:
-    """Compute how far a hand's pads have rotated [rad] and moved [m] in the hand frame, on average.
+    """Compute the mean rotation [rad] and translation [m] of a hand's pads from their mean pose in the grasp.
 
-    ``pads`` are ids of vertices. They are compared with their mean pose in the frames of the grasp. Rotations are NaN
-    where a pad has too few vertices to show them.
+    ``pads`` are indices of vertices; motion is relative to the hand frame. Rotations are NaN where a pad has too few
+    vertices to determine them.
     """
     rotated, moved = [], []
     for ids in pads:
@@ -242,7 +237,7 @@ def fingertip_motion(
 
 
 def _fit_rotations(pad: Float[ndarray, "N P 3"], grasp: slice) -> Float[ndarray, "N 3 3"] | None:
-    """Rotations of points about their mean, from the grasp's first frame (Kabsch); nothing where they are on a line."""
+    """Rotations of points about their mean, from the grasp's first frame (Kabsch); None for points on a line."""
     model = pad[grasp][0]
     if len(model) < 3 or np.linalg.svd(model, compute_uv=False)[1] < 1e-6:
         return None
@@ -250,8 +245,6 @@ def _fit_rotations(pad: Float[ndarray, "N P 3"], grasp: slice) -> Float[ndarray,
 
 
 def mean_curves(studied: Sequence[StudiedGrasp]) -> dict[str, list[Spread]]:
-    """Compute the spread of each measure over grasps, at each of ``NORMALISED_TIMES``."""
-    return {
-        name: [Spread.of(values) for values in np.array([one.curves[name] for one in studied]).T]
-        for name in STUDY_MEASURES
-    }
+    """Compute the spread of each measure over grasps at each of ``NORMALISED_TIMES``."""
+    curves = {name: np.array([one.curves[name] for one in studied]).T for name in STUDY_MEASURES}
+    return {name: [Spread.of(values) for values in curve] for name, curve in curves.items()}

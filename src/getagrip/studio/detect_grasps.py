@@ -1,9 +1,7 @@
-"""The grasps in a draft: as ``segment --from-masks`` finds them by masks and hand, or all frames but the reach.
+"""Find the grasps in a draft: stable grasps by masks and hand, or else all frames without reach and release.
 
-The frames in which a hand and an object move together, without the reach before them and the release after them.
-
-While the hand reaches for the object, or leaves it, the object rests: it stays at its place on the ground, which the
-camera may move over, and the hand moves over the ground and over the object. Such frames at either end are no grasp.
+While the hand reaches for the object, or leaves it, the object rests: it stays at its place on the ground, over which
+the camera may move, and the hand moves relative to both. Such frames at either end are not part of the grasp.
 """
 
 from __future__ import annotations
@@ -19,49 +17,63 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from getagrip.clip import read_clip
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.io import files
 from getagrip.io.terminal import format_count
 from getagrip.readers.footage import Footage
 from getagrip.readers.masks.mask_request import MaskRequest
 from getagrip.readers.masks.mask_sources import open_masks
 from getagrip.studio.hands.detect_hands import DETECTED_HANDS_FOLDER, HandDetectionFiles
-from getagrip.studio.jobs import CLIPS_FOLDER, BackgroundJob, RequestedMesh, run_command
+from getagrip.studio.hands.hand_tracking import PALM_LANDMARKS
+from getagrip.studio.jobs import CLIPS_FOLDER, RequestedMesh, RunCall
 from getagrip.studio.masks.box_prompt import MIN_BOX_CORRELATION, Box, downscale_image, track_box
 from getagrip.studio.masks.propagate_clip import propagate_labels
 from getagrip.studio.masks.propagate_frame import Hands, Images
-from getagrip.studio.store.export_clip import clip_arguments, write_labelled_clip_files
+from getagrip.studio.store.export_clip import new_clip_call, write_labelled_clip_files
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL, FrameLabels, Labels, Polygons
 from getagrip.timelines.detect.detect_segments import find_segments
 
 MAX_GROUND_IMAGE_PX = 480.0
-"""Longer side of the images in which the ground's motion is measured, at most [px]."""
+"""Maximum of the longer side of the images in which the ground's motion is measured [px]."""
 MAX_GROUND_CORNERS, MIN_GROUND_CORNERS = 200, 8
-"""Corners of the ground that are followed, and the fewest by which its motion is known."""
+"""Maximum and minimum number of tracked corners of the ground."""
 MIN_CORNER_QUALITY, GROUND_MARGIN_PX = 1e-3, 8
-"""Least quality of a corner, as a share of the best, and its least distance from hand and object [px]."""
+"""Minimum quality of a corner, as a fraction of the best, and its minimum distance from hand and object [px]."""
 REST_TOLERANCE = 0.1
-"""An object that is farther from its place on the ground than this share of its longer side does not rest."""
+"""Largest distance of a resting object from its place on the ground, as a fraction of its longer side."""
 REACH_START_DISTANCE, ARRIVAL_DISTANCE = 0.3, 0.15
-"""A hand that comes from farther than ``REACH_START_DISTANCE`` has reached; it has arrived from ``ARRIVAL_DISTANCE`` on [palm sizes]."""
+"""Distance of the hand's joints from their final places beside the object: above the first number the hand has reached
+for it, below the second it has arrived [palm sizes]."""
 MIN_REST_FRAMES = 5
-"""Fewest frames in which an object rests."""
-PALM_CENTRE_JOINTS = (0, 5, 9, 13, 17)
-"""Joints of the palm."""
-
+"""Minimum number of frames in which an object rests."""
 Placed = tuple[int, Box]
 """A frame and the object's box in it [px]."""
+Extent = tuple[int, int]
+"""First and last frame, from 0, both included."""
+WHOLE_CLIP_NAME = "whole"
+"""Name of the clip of the interval that is searched."""
+
+
+@dataclass(frozen=True)
+class DraftedGrasps:
+    """The grasps of a draft."""
+
+    labels: Labels
+    """Labels with the object in every frame."""
+    extents: list[Extent]
+    said: str
+    """Description of the grasps."""
 
 
 def track_visible_box(images: Images, box: Box, first: int, last: int) -> Iterator[Placed]:
-    """Follow the object's box from the first frame on, as long as it shows what it showed there."""
+    """Track the object's box from the frame ``first`` on, as long as its content is recognised."""
     boxes = takewhile(lambda each: each[1] >= MIN_BOX_CORRELATION, track_box(images, box, first, last))
     for n, (at, _) in enumerate(boxes, start=first):
         yield n, at
 
 
 def boxes_of_polygons(shapes: Mapping[int, Polygons]) -> dict[int, Box]:
-    """Return the boxes of polygons, by frame; frames without one are left out."""
+    """Return the bounding boxes of polygons by frame [px], without frames that have none."""
     points = {n: np.concatenate(each) for n, each in sorted(shapes.items()) if each}
     return {n: (*each.min(axis=0).tolist(), *np.ptp(each, axis=0).tolist()) for n, each in points.items()}
 
@@ -69,17 +81,17 @@ def boxes_of_polygons(shapes: Mapping[int, Polygons]) -> dict[int, Box]:
 def find_arrival(
     images: Images, boxes: Iterable[Placed], joints: Mapping[int, Float[ndarray, "21 2"]], end: int
 ) -> int | None:
-    """Return the first frame in which the hand has come to an object that rests; None where it does not come to it.
+    """Return the first frame in which the hand has arrived at a resting object; None without such a reach.
 
-    ``boxes`` go forwards, or backwards for a release: then it is the last frame. An object that rests up to the frame
-    ``end`` is not held at all. ``joints`` are the hand's [px].
+    ``boxes`` are the object's, forwards, or backwards for a release: then the last frame is returned. An object that
+    rests up to the frame ``end`` is not grasped. ``joints`` are the hand's [px].
     """
     apart: dict[int, Float[ndarray, "21 2"]] = {}
     sizes, place, before = [], None, None
     image = lru_cache(maxsize=2)(images)
     for n, (x, y, w, h) in boxes:
         middle = np.array([x + 0.5 * w, y + 0.5 * h])
-        palm = joints[n][list(PALM_CENTRE_JOINTS)] if n in joints else None
+        palm = joints[n][PALM_LANDMARKS] if n in joints else None
         if before is not None and place is not None:
             step = _ground_motion(image(before[0]), image(n), before[1:])
             if step is None:
@@ -101,7 +113,7 @@ def find_arrival(
 
 
 def _arrival_frame(apart: Mapping[int, Float[ndarray, "21 2"]], size: float) -> int | None:
-    """Return the frame from which on the hand stays beside the object, from where it is at last."""
+    """Return the frame from which on the joints, relative to the object, stay near their final places."""
     if len(apart) < MIN_REST_FRAMES:
         return None
     frames, where = [*apart], np.array([*apart.values()]) / size
@@ -118,9 +130,9 @@ def _ground_motion(
     other: UInt8[ndarray, "H W 3"],
     hidden: tuple[Float[ndarray, "2"], Float[ndarray, "2"]],
 ) -> Float[ndarray, "2 3"] | None:
-    """Return where points of the ground are in another image [px]; None where too little of it is followed.
+    """Return the similarity of the ground from one image to another [px]; None with too few corners.
 
-    ``hidden`` is a box, lower and upper corner, about object and hand, beside which the ground is looked at.
+    ``hidden`` are the lower and upper corner of a box around object and hand, outside which the ground is visible.
     """
     import cv2
 
@@ -128,10 +140,8 @@ def _ground_motion(
     a, b = (cv2.cvtColor(downscale_image(image, scale), cv2.COLOR_RGB2GRAY) for image in (one, other))
     free = np.full(a.shape, 255, np.uint8)
     low, high = (np.clip(np.round(scale * corner).astype(int), 0, a.shape[::-1]) for corner in hidden)
-    free[
-        max(0, low[1] - GROUND_MARGIN_PX) : high[1] + GROUND_MARGIN_PX,
-        max(0, low[0] - GROUND_MARGIN_PX) : high[0] + GROUND_MARGIN_PX,
-    ] = 0
+    low, high = np.maximum(0, low - GROUND_MARGIN_PX), high + GROUND_MARGIN_PX
+    free[low[1] : high[1], low[0] : high[0]] = 0
     corners = cv2.goodFeaturesToTrack(a, MAX_GROUND_CORNERS, MIN_CORNER_QUALITY, 5, mask=free)
     if corners is None or len(corners) < MIN_GROUND_CORNERS:
         return None
@@ -145,23 +155,6 @@ def _ground_motion(
     return np.column_stack([step[:, :2], step[:, 2] / scale])
 
 
-Extent = tuple[int, int]
-"""First and last frame, from 0, both included."""
-WHOLE_CLIP_NAME = "whole"
-"""Name of the clip of the interval that is searched."""
-
-
-@dataclass(frozen=True)
-class DraftedGrasps:
-    """The grasps of a draft."""
-
-    labels: Labels
-    """The object in every frame."""
-    extents: list[Extent]
-    said: str
-    """Which they are, in words."""
-
-
 def trim_reach(
     labels: Labels,
     image: Images,
@@ -169,9 +162,10 @@ def trim_reach(
     hand: Hands,
     box: tuple[int, Box] | None = None,
 ) -> DraftedGrasps:
-    """Return the frames in which hand and object move together (``reach``), as one grasp.
+    """Return the frames in which hand and object move together, as one grasp.
 
-    ``joints`` are the hand's [px], ``hand`` is where it is visible, ``box`` the object's in a frame before it is held.
+    ``joints`` are the hand's [px], ``hand`` returns its visible pixels, ``box`` is the object's in a frame before the
+    grasp.
     """
     known = boxes_of_polygons({n: frame.object or () for n, frame in labels.frames.items()})
     ahead = known.items() if box is None else track_visible_box(image, box[1], box[0], labels.last)
@@ -182,14 +176,14 @@ def trim_reach(
         return DraftedGrasps(labels, [(labels.first, labels.last)], "")
     why = {"reaches for it before": first, "leaves it after": last}
     moves = " and ".join(words for words, frame in why.items() if frame is not None)
-    taken = f"frames {extent[0] + 1} to {extent[1] + 1} are taken, in which hand and object move together"
+    taken = f"frames {extent[0] + 1} to {extent[1] + 1} are used, in which hand and object move together"
     if not any(extent[0] <= n <= extent[1] for n in known) and known:
         labels = replace(labels, frames=_add_propagated_labels(labels, image, hand, max(known), extent[0]))
-    return DraftedGrasps(labels, [extent], f"{taken}: the hand {moves}; --all-frames takes all")
+    return DraftedGrasps(labels, [extent], f"{taken}: the hand {moves}; --all-frames uses all")
 
 
 def _add_propagated_labels(labels: Labels, image: Images, hand: Hands, key: int, to: int) -> dict[int, FrameLabels]:
-    """Return the labels, and those of a key carried to a later frame."""
+    """Return the labels' frames, with those of a key frame propagated to a later frame."""
     from getagrip.studio.masks.polygon_drafts import trace_polygons
 
     *_, last = propagate_labels(image, {key: labels.label_maps()[key]}, key, to, hand=hand)
@@ -204,37 +198,31 @@ def find_grasps(
     out: Path,
     shape: RequestedMesh,
     joints: Mapping[int, Float[ndarray, "21 2"]],
+    run: RunCall,
 ) -> DraftedGrasps:
-    """Find the grasps in the frames of labels, by a clip of all of them (``out/clips/whole``).
+    """Find the stable grasps in the frames of labels, by a clip of all frames (``out/clips/whole``) made by ``run``.
 
-    Where none is stable, the frames in which hand and object move together are taken. Raises ``GetagripError`` where no
-    clip can be made.
+    Without a stable grasp, the frames in which hand and object move together are returned. Raises ``GetagripError`` if
+    no clip can be made.
     """
-    made, clip = (
-        files.folder_inside(out, DETECTED_HANDS_FOLDER).parent / WHOLE_CLIP_NAME,
-        files.folder_inside(out, CLIPS_FOLDER) / WHOLE_CLIP_NAME,
-    )
-    write_labelled_clip_files(
-        labels, footage.image, Lens(guess_focal=True), made,
-        overwrite=True, found=HandDetectionFiles(out / DETECTED_HANDS_FOLDER), name=footage.name,
-    )  # fmt: skip
-    words = clip_arguments(labels, made, str(video))
-    run_command([*words, *shape.options, "--out", str(clip), "--overwrite"], BackgroundJob("files"))
+    hands = HandDetectionFiles(files.folder_inside(out, DETECTED_HANDS_FOLDER))
+    made, clip = out / WHOLE_CLIP_NAME, files.folder_inside(out, CLIPS_FOLDER) / WHOLE_CLIP_NAME
+    lens = Lens(guess_focal=True)
+    write_labelled_clip_files(labels, footage.image, lens, made, overwrite=True, found=hands, name=footage.name)
+    new_clip = new_clip_call(labels, made, str(video))
+    run(replace(new_clip, mesh=shape.mesh, size_mm=shape.size_mm, out=clip, overwrite=True))
     read = read_clip(clip)
     found = find_segments(read)
     names = [footage.name(n) for n in range(labels.first, labels.last + 1)]
-    extents = [
-        (labels.first + names.index(read.frames[a]), labels.first + names.index(read.frames[b]))
-        for a, b in found.grasps
-    ]
+    places = {name: labels.first + n for n, name in enumerate(names)}
+    extents = [(places[read.frames[a]], places[read.frames[b]]) for a, b in found.grasps]
     which = ", ".join(f"frames {a + 1} to {b + 1}" for a, b in extents)
     request = MaskRequest(tuple(names), labels.size, (str(OBJECT_LABEL),), (str(OCCLUDER_LABEL),), (str(HAND_LABEL),))
     labels = replace(labels, frames=_masks_to_labels(made / "masks", request, labels))
     said = f"{format_count(len(extents), 'stable grasp')} found: {which}; --interval FIRST LAST overrules this"
     if not extents:
-        held = trim_reach(labels, footage.image, joints, HandDetectionFiles(out / DETECTED_HANDS_FOLDER).mask)
-        extents = held.extents
-        taken = held.said or "the whole interval is marked"
+        trimmed = trim_reach(labels, footage.image, joints, hands.mask)
+        extents, taken = trimmed.extents, trimmed.said or "the whole interval is marked"
         said = f"warning: no stable grasp found; {taken}; --interval FIRST LAST says where it is"
     if found.notes:
         said += f" ({'; '.join(found.notes)})"
@@ -242,7 +230,7 @@ def find_grasps(
 
 
 def _masks_to_labels(path: Path, request: MaskRequest, labels: Labels) -> dict[int, FrameLabels]:
-    """Return the masks of all frames as polygons; those of frames that were labelled stay as they are."""
+    """Return labels of all frames, with polygons of the masks where there were no labels."""
     from getagrip.studio.masks.polygon_drafts import trace_polygons
 
     reader, frames = open_masks(path, request), dict(labels.frames)

@@ -1,13 +1,12 @@
-"""From the files of a labelled grasp to a result: the commands that a person would type, one after the other.
+"""Jobs that take longer than a request of the page: drafts, clips, reconstructions, reports, estimators.
 
-Each runs in a process of its own: the page stays quick meanwhile, and ending one ends all that it does.
+``BackgroundQueue`` runs the page's jobs in one thread, one after the other. A reconstruction is three ``CommandCall``:
+the job decides where they run (``BackgroundJob.run``). The calls of the page's jobs run in processes, which cancelling
+ends and whose load the page does not feel; those of a command, such as ``draft``, run in that command's process.
 
-Work that takes longer than a request: in one thread, one piece after the other, with its progress.
-
-Estimators that a user has: scripts that run in environments of their own, on a folder of images.
-
-Each is a line of ``ESTIMATORS``. The command that starts its script (``scripts/estimators``) is in a variable of the
-environment, ``GETAGRIP_SAM2`` for ``sam2``; the words of the line are appended to it.
+An estimator is a user's script that runs in an environment of its own, on a folder of images, and a line of
+``ESTIMATORS``. The environment variable ``GETAGRIP_SAM2`` holds the command that starts the script of ``sam2``
+(``scripts/estimators``); the words of the line are appended to it.
 """
 
 from __future__ import annotations
@@ -22,16 +21,95 @@ from dataclasses import dataclass, field, replace
 from math import isnan
 from pathlib import Path
 from threading import Event, Lock
-from typing import Literal
+from typing import Literal, TypeAlias
 
 from getagrip.clip.depth import DEPTH_KEY, DepthSource
 from getagrip.clip.read import read_header
 from getagrip.errors import GetagripError, InputError, UsageError
+from getagrip.hands.model import Side
 from getagrip.io import files, processes
 from getagrip.io.files import Json, shorten_value
 from getagrip.io.terminal import print_note
 from getagrip.readers.depth_files import DepthReader, add_depth, check_focal_length
 from getagrip.studio.store.history import RefusedError
+from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
+
+THREADS_PER_CLIP = 2
+"""Threads of a reconstruction."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NewClipCall:
+    """Options of ``clip new`` for the files of a labelled grasp; ``MESH`` and ``CLIP`` are placeholders."""
+
+    video: str
+    interval: tuple[int, int]
+    """First and last frame, counted from 1."""
+    side: Side
+    hands: Path
+    masks: Path
+    """Folder of masks, with the labels ``object``, ``ignore`` and ``hand``."""
+    segments: Path | None = None
+    mesh: str = "MESH"
+    size_mm: float | None = None
+    out: Path = Path("CLIP")
+    overwrite: bool = False
+    quiet: bool = False
+    object: str = str(OBJECT_LABEL)
+    ignore: str = str(OCCLUDER_LABEL)
+    hand: str = str(HAND_LABEL)
+
+    @property
+    def words(self) -> list[str]:
+        """Words after the program's name."""
+        size = [] if self.size_mm is None else ["--size-mm", _shortest_number(self.size_mm)]
+        return [
+            *("clip", "new", self.video, "--interval", *map(str, self.interval), "--side", self.side),
+            *("--hands", str(self.hands), "--masks", str(self.masks)),
+            *("--object", self.object, "--ignore", self.ignore, "--hand", self.hand),
+            *([] if self.segments is None else ["--segments", str(self.segments)]),
+            *("--mesh", self.mesh, *size, "--out", str(self.out)),
+            *["--overwrite"] * self.overwrite,
+            *["--quiet"] * self.quiet,
+        ]
+
+
+@dataclass(frozen=True)
+class ReconstructCall:
+    """Options of ``reconstruct`` for one clip; the result ``out/<clip's name>`` is overwritten."""
+
+    clip: Path
+    out: Path
+
+    @property
+    def words(self) -> list[str]:
+        """Words after the program's name."""
+        return [
+            *("reconstruct", str(self.clip), "--out", str(self.out), "--overwrite"),
+            *("--threads", str(THREADS_PER_CLIP)),
+        ]
+
+
+@dataclass(frozen=True)
+class ReportCall:
+    """Options of ``report`` for one result."""
+
+    result: Path
+
+    @property
+    def words(self) -> list[str]:
+        """Words after the program's name."""
+        return ["report", str(self.result)]
+
+
+CommandCall: TypeAlias = NewClipCall | ReconstructCall | ReportCall
+RunCall: TypeAlias = Callable[[CommandCall], str]
+"""Runs a command and returns its output. Raises ``GetagripError`` with the output of a command that failed."""
+
+
+def _shortest_number(number: float) -> str:
+    """Format a number such that it is read back exactly."""
+    return short if float(short := f"{number:g}") == number else repr(number)
 
 
 class CancelledError(Exception):
@@ -57,6 +135,10 @@ class BackgroundJob:
         self.done, self.total = done, total
         if self.stop.is_set():
             raise CancelledError
+
+    def run(self, call: CommandCall) -> str:
+        """Run a command as ``RunCall``: here in a process of its own, which cancelling the job ends."""
+        return run_command(call.words, self)
 
     def status(self) -> dict[str, object]:
         """Return the fields that the page shows."""
@@ -151,7 +233,8 @@ def command_variable(name: str) -> str:
 
 def setup_advice(name: str) -> str:
     """Say how to set an estimator up."""
-    return f"{command_variable(name)}='/environments/{name}/bin/python /scripts/{ESTIMATORS[name].script}', see estimators.md"
+    call = f"/environments/{name}/bin/python /scripts/{ESTIMATORS[name].script}"
+    return f"{command_variable(name)}='{call}', see estimators.md"
 
 
 def estimator_command(name: str) -> list[str] | None:
@@ -222,11 +305,6 @@ class RequestedMesh:
     size_mm: float | None
     """Largest side of its bounding box; None where it is to be found."""
 
-    @property
-    def options(self) -> list[str]:
-        """Options of ``clip new``."""
-        return ["--mesh", self.mesh, *([] if self.size_mm is None else ["--size-mm", f"{self.size_mm:g}"])]
-
 
 @dataclass(frozen=True)
 class DepthFiles:
@@ -277,7 +355,7 @@ def report_files(result: Path) -> dict[str, bytes]:
 
 def draw_report(result: Path, job: BackgroundJob) -> str:
     """Write the report of a result. Raises ``GetagripError``, ``CancelledError``."""
-    return run_command(["report", str(result)], job)
+    return job.run(ReportCall(result))
 
 
 def result_folder(out: Path, name: str) -> Path:
@@ -286,26 +364,25 @@ def result_folder(out: Path, name: str) -> Path:
 
 
 def reconstruct_grasp_files(
-    new_clip: Sequence[str],
+    new_clip: NewClipCall,
     shape: RequestedMesh,
     out: Path,
     name: str,
     job: BackgroundJob,
     depth: DepthFiles | None = None,
 ) -> str:
-    """Make the clip with ``new_clip``, the words of ``clip new`` but for mesh and folder; reconstruct it, and report.
+    """Make the clip by ``new_clip`` with the mesh, reconstruct it, and draw its report.
 
-    Returns what was said of it, warnings about the clip first. Raises ``GetagripError`` with what a command said
-    against it, ``CancelledError``.
+    Returns the outputs of ``clip new`` and ``reconstruct``, warnings about the clip first. Raises ``GetagripError``
+    with the output of a command that failed, ``CancelledError``.
     """
     clip, result = files.folder_inside(out, CLIPS_FOLDER) / name, files.folder_inside(out, RESULTS_FOLDER) / name
-    make = [*new_clip, *shape.options, "--out", str(clip), "--overwrite", "--quiet"]
-    solve = ["reconstruct", str(clip), "--out", str(result.parent), "--overwrite", "--threads", "2"]
+    make = replace(new_clip, mesh=shape.mesh, size_mm=shape.size_mm, out=clip, overwrite=True, quiet=True)
     lost = f"depth images of the earlier {clip} are left out" if depth is None and (clip / DEPTH_KEY).exists() else ""
     steps: list[tuple[str, Callable[[], str]]] = [
-        ("making the clip", lambda: run_command(make, job)),
+        ("making the clip", lambda: job.run(make)),
         ("adding depth", lambda: lost if depth is None else depth.add_to(clip)),
-        ("reconstructing", lambda: run_command(solve, job)),
+        ("reconstructing", lambda: job.run(ReconstructCall(clip, result.parent))),
         ("drawing the report", lambda: draw_report(result, job)),
     ]
     said = []
@@ -332,9 +409,9 @@ def iou_by_frame(result: Path) -> dict[str, float]:
 
 
 def run_command(words: Sequence[str], job: BackgroundJob) -> str:
-    """Run a command; returns what it printed. Raises ``GetagripError`` where it made nothing.
+    """Run a command in a process, and return its output as ``command_output`` does.
 
-    What lacks something is made, too: its exit status is ``SUCCESS_STATUSES``, and what it lacks is among what it printed.
+    Raises ``GetagripError`` for a command that failed, ``CancelledError`` once the job was cancelled.
     """
     process = subprocess.Popen(
         processes.python_command("-m", "getagrip", *words),
@@ -351,7 +428,12 @@ def run_command(words: Sequence[str], job: BackgroundJob) -> str:
                 process.terminate()
                 process.communicate()
                 raise
-    if process.returncode not in SUCCESS_STATUSES:
+    return command_output(process.returncode, out, err)
+
+
+def command_output(status: int, out: str, err: str) -> str:
+    """Return the printed text of a command, warnings last. Raises ``GetagripError`` with it if the command failed."""
+    if status not in SUCCESS_STATUSES:
         said = (err.strip() or out.strip() or "it ended early").splitlines()
         raise GetagripError("; ".join(line.removeprefix("getagrip: ") for line in said))
     return "\n".join(filter(None, (out.strip(), err.strip())))

@@ -1,4 +1,4 @@
-"""The page's requests about one grasp's key frames: changes, drafts, and the files that a clip is made of."""
+"""Labelling of one grasp: changes of its key frames, drafts of the other frames, files of a clip, and its result."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from numpy import ndarray
 
 from getagrip.clip.intrinsics import compute_intrinsics
 from getagrip.errors import UsageError
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.hands.from_2d.clicks import MIN_CLICKED_JOINTS
 from getagrip.io import files
 from getagrip.io.files import Json, shorten_value
@@ -28,13 +28,21 @@ from getagrip.studio.detect_grasps import boxes_of_polygons
 from getagrip.studio.hands.detect_hands import DETECTED_HANDS_FOLDER, DRAFTS_FOLDER, HandDetectionFiles
 from getagrip.studio.jobs import BackgroundJob, BackgroundQueue, Work
 from getagrip.studio.masks.propagate_clip import keyframe_spans
-from getagrip.studio.masks.suggest_frame import discount_confidence, lost_frames, suggest_frame
-from getagrip.studio.next_step import next_step
-from getagrip.studio.store import history, labels
-from getagrip.studio.store import labels as store_labels
+from getagrip.studio.next_step import discount_confidence, lost_frames, next_step, suggest_frame
+from getagrip.studio.store import history
 from getagrip.studio.store.export_clip import footage_checksum
 from getagrip.studio.store.history import RefusedError
-from getagrip.studio.store.labels import MIN_SHAPE_POINTS, KeyFrame, Labels
+from getagrip.studio.store.labels import (
+    KEYFRAME_SETTABLE_FIELDS,
+    MIN_SHAPE_POINTS,
+    KeyFrame,
+    Labels,
+    apply_keyframe_change,
+    blank_keyframe,
+    change_from_labels,
+    labels_to_json,
+    write_label_file,
+)
 from getagrip.studio.store.mark_store import MarkStore
 from getagrip.studio.store.marks import Grasp
 from getagrip.studio.store.tasks import open_footage
@@ -43,7 +51,7 @@ if TYPE_CHECKING:
     from getagrip.studio.store.export_clip import ClipFiles
 
 Basis = dict[str, list[tuple[int, int, str]]]
-"""Inputs of the drafts of "masks" and "hand": first and last frame, and the kind of input, in a word."""
+"""Inputs of the drafts of "masks" and "hand": first and last frame, and a checksum of the inputs."""
 
 
 class Labelling:
@@ -55,26 +63,26 @@ class Labelling:
         self.depth: jobs.DepthFiles | None = None
         self.lens = lens if lens.is_set else Lens(guess_focal=True)
         self._found: dict[Path, HandDetectionFiles] = {}
-        self._iou: dict[str, tuple[object, dict[int, float]]] = {}  # of results, and the inputs of their drafts
-        self._reports: set[str] = set()  # checksums of the files of reports that were written here
+        self._iou: dict[str, tuple[object, dict[int, float]]] = {}  # inputs of the drafts, IOU of the results
+        self._reports: set[str] = set()  # checksums of report files written by this process
         self._reporting = Lock()
         self.background = BackgroundQueue()
 
     def found(self, grasp: Grasp) -> HandDetectionFiles:
-        """Return the hands that were found in its footage: in its draft's folder, else in the one beside the marks."""
+        """Return the detected hands of a grasp's footage: in its draft's folder, else beside the marks."""
         own = self.out / DRAFTS_FOLDER / grasp.task.key / DETECTED_HANDS_FOLDER
         folder = own if own.is_dir() else self.out / DETECTED_HANDS_FOLDER
-        if not folder.is_dir():  # it may come
+        if not folder.is_dir():  # it may be written later
             return HandDetectionFiles(folder)
         return self._found.setdefault(folder, HandDetectionFiles(folder))
 
     def state(self, grasp: Grasp) -> dict[str, object]:
-        """Return the labels of a grasp's frames, the inputs of drafts now, and the progress of the work on it."""
+        """Return a grasp's key frames, the inputs of drafts now, the suggested frame, and the progress of its job."""
         newest = self.store.keyframes.newest(grasp.mark.mark, grasp.mark.annotator)  # before the frames, as with marks
         own = self._own(grasp)
-        job = self.background.job(grasp.mark.mark)
-        keys = ("frame", "joints", "outlines", "hidden")
-        basis = self._basis(grasp, own)
+        job, basis = self.background.job(grasp.mark.mark), self._basis(grasp, own)
+        keys, number = ("frame", "joints", "outlines", "hidden"), grasp.footage.number
+        keyframes = [{key: getattr(one, key) for key in keys} | {"number": number(one.frame)} for one in own]
         sure = self.store.drafts.confidence(grasp.mark.mark, {word for *_, word in basis["masks"]})
         drawn, (solved, iou) = self.labels(grasp).drawn, self._iou.get(grasp.mark.mark, (None, {}))
         met = discount_confidence(sure, iou, drawn) if solved == basis else sure
@@ -85,9 +93,7 @@ class Labelling:
             "side": grasp.side,
             "size": grasp.footage.size,
             "fewest": MIN_CLICKED_JOINTS,
-            "keyframes": [
-                {key: getattr(one, key) for key in keys} | {"number": grasp.footage.number(one.frame)} for one in own
-            ],
+            "keyframes": keyframes,
             "basis": basis,
             "wanted": suggest_frame(met, drawn, *grasp.extent),
             "found": bool(self.found(grasp).joints),
@@ -100,24 +106,24 @@ class Labelling:
         frame, size = content.get("frame"), grasp.footage.size
         if type(frame) is not int or not 0 <= frame < grasp.footage.frames:
             raise RefusedError(f"frame must be 0 to {grasp.footage.frames - 1} (got {shorten_value(frame)})")
-        change = history.read_change(content, store_labels.KEYFRAME_SETTABLE_FIELDS)
-        blank = store_labels.blank_keyframe(grasp.mark.task, grasp.mark.annotator, grasp.mark.mark, frame)
-        self.store.keyframes.apply(change, blank, lambda old, sets: store_labels.apply_keyframe_change(old, sets, size))
+        change = history.read_change(content, KEYFRAME_SETTABLE_FIELDS)
+        blank = blank_keyframe(grasp.mark.task, grasp.mark.annotator, grasp.mark.mark, frame)
+        self.store.keyframes.apply(change, blank, lambda old, sets: apply_keyframe_change(old, sets, size))
 
     def undo(self, grasp: Grasp, tab: str, change: str) -> dict[str, object]:
-        """Take back a tab's last change of a grasp's key frames, and say of which frame. Raises ``RefusedError``."""
+        """Undo a tab's last change of a grasp's key frames, and return its frame. Raises ``RefusedError``."""
         undone = self.store.keyframes.undo(grasp.mark.mark, grasp.mark.annotator, tab, change)
         return {"undone": undone is not None, "frame": None if undone is None else undone.frame}
 
     def labels(self, grasp: Grasp) -> Labels:
-        """Return the labels of a grasp, as a file has them."""
+        """Return the labels of a grasp, without the footage's checksum."""
         (first, last), footage = grasp.extent, grasp.footage
         frames = {one.frame: one.labels() for one in self._own(grasp) if first <= one.frame <= last}
         video = (grasp.task.path or Path(grasp.task.video)).name
         return Labels(video, footage.size, grasp.side, footage.fps, first, last, frames)
 
     def whole_labels(self, grasp: Grasp) -> Labels:
-        """Return the labels of a grasp with the checksum of its footage, by which a file of them finds it again."""
+        """Return the labels of a grasp with the checksum of its footage, as in a label file."""
         return replace(self.labels(grasp), sha256=footage_checksum(grasp.path))
 
     def take(self, grasp: Grasp, labels: Labels) -> None:
@@ -127,16 +133,16 @@ class Labelling:
             raise RefusedError(f"labels of {labels.size[0]} x {labels.size[1]} pixels, footage of {width} x {height}")
 
         def replaced(old: KeyFrame, sets: Json) -> KeyFrame:
-            blank = store_labels.blank_keyframe(old.task, old.annotator, old.grasp, old.frame)
-            return store_labels.apply_keyframe_change(blank, sets, labels.size)
+            blank = blank_keyframe(old.task, old.annotator, old.grasp, old.frame)
+            return apply_keyframe_change(blank, sets, labels.size)
 
         for n, frame in labels.frames.items():
-            blank = store_labels.blank_keyframe(grasp.mark.task, grasp.mark.annotator, grasp.mark.mark, n)
-            change = history.Change(str(uuid4()), tab, store_labels.change_from_labels(frame))
+            blank = blank_keyframe(grasp.mark.task, grasp.mark.annotator, grasp.mark.mark, n)
+            change = history.Change(str(uuid4()), tab, change_from_labels(frame))
             self.store.keyframes.apply(change, blank, replaced)
 
     def propagate(self, grasp: Grasp) -> None:
-        """Begin to fill in what is out of date. Raises ``RefusedError`` where there is nothing to fill in."""
+        """Start to update drafts that are out of date. Raises ``RefusedError`` for insufficient labels."""
         basis, value = self._basis(grasp, self._own(grasp)), self.labels(grasp)
         if not any(basis.values()):
             raise RefusedError("nothing to fill in yet: click joints, or draw a polygon around the object, on a frame")
@@ -144,62 +150,58 @@ class Labelling:
         self._start(grasp, "propagate", lambda job: self._draft(grasp, value, basis, job))
 
     def make(self, grasp: Grasp) -> None:
-        """Begin to write the files that a clip is made of. Raises ``RefusedError`` where something is missing."""
+        """Start to write the input files of a clip. Raises ``RefusedError`` for insufficient labels."""
         value = self.labels(grasp)
         self._check_enough(grasp, value)
         self._start(grasp, "files", lambda job: self.write(grasp, value, job))
 
     def reconstruct(self, grasp: Grasp, content: Json) -> None:
-        """Begin to write the files, make a clip of them and reconstruct it. Raises ``RefusedError``."""
+        """Start to write the files, make a clip of them and reconstruct it. Raises ``RefusedError``."""
         shape = jobs.parse_requested_mesh(content)
         self._check_enough(grasp, self.labels(grasp))
         self._start(grasp, "reconstruct", lambda job: self.solve(grasp, shape, job))
 
     def solve(self, grasp: Grasp, shape: jobs.RequestedMesh, job: BackgroundJob) -> str:
-        """Write the files, make a clip of them and reconstruct it; return the outcome in words.
+        """Write the files, make a clip of them and reconstruct it; return the outcome as text.
 
         Raises ``GetagripError``, ``CancelledError``.
         """
-        from getagrip.studio.store.export_clip import clip_arguments
+        from getagrip.studio.store.export_clip import new_clip_call
 
         value, basis = self.labels(grasp), self._basis(grasp, self._own(grasp))
         self._check_enough(grasp, value)
         job.message = "writing the files"
         confidence = self._make(grasp, value, job).confidence
-        words = clip_arguments(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
-        said = jobs.reconstruct_grasp_files(words, shape, self.out, grasp.name, job, self.depth)
-        result = jobs.result_folder(self.out, grasp.name)
+        new_clip = new_clip_call(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
+        said = jobs.reconstruct_grasp_files(new_clip, shape, self.out, grasp.name, job, self.depth)
+        result, number = jobs.result_folder(self.out, grasp.name), grasp.footage.number
         self._reports |= {*map(_report_checksum, jobs.report_files(result).values())}
-        iou = jobs.iou_by_frame(result)
         names = {grasp.footage.name(n): n for n in range(value.first, value.last + 1)}
-        met = {names[name]: x for name, x in iou.items() if name in names}
-        self._iou[grasp.mark.mark] = basis, met
-        wanted = suggest_frame(discount_confidence(confidence, met, value.drawn), value.drawn, *grasp.extent)
-        number, first = (
-            grasp.footage.number,
-            boxes_of_polygons({n: one.object or () for n, one in value.frames.items()}),
-        )
+        iou = {names[name]: x for name, x in jobs.iou_by_frame(result).items() if name in names}
+        self._iou[grasp.mark.mark] = basis, iou
+        wanted = suggest_frame(discount_confidence(confidence, iou, value.drawn), value.drawn, *grasp.extent)
+        boxes = boxes_of_polygons({n: one.object or () for n, one in value.frames.items()})
         step = next_step(
-            jobs.result_folder(self.out, grasp.name), grasp.path, self.out, shape,
+            result, grasp.path, self.out, shape,
             None if wanted is None else number(wanted), [*map(number, lost_frames(confidence))],
-            (number(value.first), number(value.last)), first.get(value.first),
+            (number(value.first), number(value.last)), boxes.get(value.first),
         )  # fmt: skip
         return "\n".join(filter(None, (said, step)))
 
     def is_solved(self, grasp: Grasp) -> bool:
-        """Return whether there is a result of the labels as they are now."""
+        """Return whether a grasp has a result of its current labels."""
         written = self.out / f"labels-{grasp.name}.json"
         result = jobs.result_folder(self.out, grasp.name) / "result.json"
         if not (written.is_file() and result.is_file()) or result.stat().st_mtime < written.stat().st_mtime:
             return False
-        now = json.loads(json.dumps(labels.labels_to_json(self.whole_labels(grasp))))
+        now = json.loads(json.dumps(labels_to_json(self.whole_labels(grasp))))
         return bool(files.read_any_json(written) == now)
 
     def result_file(self, grasp: Grasp, name: str) -> bytes:
-        """Return a file of the report of the grasp's result, as it was written here.
+        """Return a file of the report of a grasp's result.
 
-        One that was not is drawn anew: it may be a stranger's. Raises ``RefusedError`` where there is no result,
-        ``GetagripError`` with what is wrong with it, or where a link takes its place.
+        Files that this process has not written may be hostile, and are replaced. Raises ``RefusedError`` without a
+        result, ``GetagripError`` for a malformed one, or a link in its place.
         """
         result = jobs.result_folder(self.out, grasp.name)
         if not (result / "result.json").is_file():
@@ -214,21 +216,20 @@ class Labelling:
         return found[name]
 
     def write(self, grasp: Grasp, value: Labels, job: BackgroundJob) -> str:
-        """Write ``labels-<name>.json``, and ``<name>/`` with hand and masks; the command that makes a clip of them.
+        """Write ``labels-<name>.json``, and ``<name>/`` with hand and masks; return the command that makes a clip.
 
-        Of a whole interaction also ``segments-<name>.json``. Raises ``RefusedError`` where segments overlap.
+        A whole interaction also gets ``segments-<name>.json``. Raises ``RefusedError`` where segments overlap.
         """
         return self._make(grasp, value, job).command
 
     def _make(self, grasp: Grasp, value: Labels, job: BackgroundJob) -> ClipFiles:
-        """Write the files as ``write`` does, and return what they are made of."""
         from getagrip.studio.store.export_clip import clip_command, write_labelled_clip_files
 
         self.out.mkdir(parents=True, exist_ok=True)
         if (path := self._segments(grasp)) is not None and grasp.whole is not None:
             files.write_json(path, {grasp.task.key: grasp.whole.listed().fields})
         whole = replace(value, sha256=footage_checksum(grasp.path))
-        labels.write_label_file(whole, self.out / f"labels-{grasp.name}.json")
+        write_label_file(whole, self.out / f"labels-{grasp.name}.json")
         frames = value.last - value.first + 1
         with closing(open_footage(grasp.path)) as footage:
 
@@ -238,19 +239,13 @@ class Labelling:
 
             out = self.out / grasp.name
             made = write_labelled_clip_files(
-                value,
-                image,
-                self.lens,
-                out,
-                overwrite=True,
-                done=lambda masks: job.report(masks, frames),
-                found=self.found(grasp),
-                name=footage.name,
-            )
+                value, image, self.lens, out, overwrite=True, done=lambda masks: job.report(masks, frames),
+                found=self.found(grasp), name=footage.name,
+            )  # fmt: skip
         return replace(made, command=clip_command(replace(value, video=str(grasp.path)), out, self._segments(grasp)))
 
     def _segments(self, grasp: Grasp) -> Path | None:
-        """Return the file of a whole interaction's segments."""
+        """Return the segment file of a whole interaction; None for a single grasp."""
         return None if grasp.whole is None else self.out / f"segments-{grasp.name}.json"
 
     def close(self) -> None:
@@ -258,7 +253,7 @@ class Labelling:
         self.background.close()
 
     def _start(self, grasp: Grasp, what: str, work: Work) -> None:
-        """Begin some work, whose errors name frames by the numbers that the page shows."""
+        """Start a job; its errors name frames by the footage's own numbers, as the page does."""
 
         def numbered(found: re.Match[str]) -> str:
             n = int(found[1])
@@ -276,10 +271,10 @@ class Labelling:
         return self.store.keyframes.standing(grasp.mark.mark, grasp.mark.annotator)
 
     def _basis(self, grasp: Grasp, own: Sequence[KeyFrame]) -> Basis:
-        """Return the inputs of drafts of each kind now; empty where there are none."""
+        """Return the current inputs of drafts of each kind; empty without labels."""
         first, last = grasp.extent
         frames = [(one, one.labels()) for one in own if first <= one.frame <= last]
-        masks = {  # a click's depends on the frames that it is compared with
+        masks = {  # motion at a click depends on the interval
             one.frame: [
                 *([shape.tolist() for shape in getattr(labelled, kind) or ()] for kind in MIN_SHAPE_POINTS),
                 None if labelled.object is not None else [first, last],
@@ -288,36 +283,29 @@ class Labelling:
             if labelled.object is not None or labelled.on
         }
         hand = {one.frame: one.joints for one, labelled in frames if labelled.joints is not None}
-        between = keyframe_spans(masks, first, last) if masks else ()
+        spans, found = keyframe_spans(masks, first, last) if masks else (), self.found(grasp)
         hands = [(first, last, _basis_checksum(first, last, hand, grasp.side, asdict(self.lens)))] if hand else []
-        found = self.found(grasp)
         if not hand and found.joints:
             hands = [(first, last, found.word)]
-        return {
-            "masks": [
-                (one.first, one.last, _basis_checksum({n: masks[n] for n in one.keys}, found.word)) for one in between
-            ],
-            "hand": hands,
-        }
+        drawn = [(one.first, one.last, _basis_checksum({n: masks[n] for n in one.keys}, found.word)) for one in spans]
+        return {"masks": drawn, "hand": hands}
 
     def _check_enough(self, grasp: Grasp, value: Labels) -> None:
-        """Raise ``RefusedError`` where no clip can be made."""
+        """Raise ``RefusedError`` if the labels do not suffice for a clip."""
         self._check_joints(grasp, value)
         if not (value.clicks or self.found(grasp).path.is_file()) or not value.label_maps():
             raise RefusedError("a clip needs a hand, found or clicked on one frame, and the object drawn on one")
 
     def _check_joints(self, grasp: Grasp, labels: Labels) -> None:
-        """Raise ``RefusedError`` for a frame with too few joints, by the number that the page shows."""
+        """Raise ``RefusedError`` for a frame with too few joints."""
         for n, joints in labels.clicks.items():
             count = int(np.isfinite(joints).all(axis=1).sum())
             if count < MIN_CLICKED_JOINTS:
-                number = grasp.footage.number(n)
-                raise RefusedError(
-                    f"frame {number} has {count} joints: click {MIN_CLICKED_JOINTS} at least, or delete them"
-                )
+                what = f"frame {grasp.footage.number(n)} has {count} joints"
+                raise RefusedError(f"{what}: click {MIN_CLICKED_JOINTS} at least, or delete them")
 
     def _draft(self, grasp: Grasp, labels: Labels, basis: Basis, job: BackgroundJob) -> str:
-        """Make drafts of both kinds where those that are there were made of something else."""
+        """Update the drafts whose inputs have changed."""
         from getagrip.studio.masks import polygon_drafts
 
         drafts, key, frames = self.store.drafts, grasp.mark.mark, labels.last - labels.first + 1
@@ -329,18 +317,16 @@ class Labelling:
             if len(known["hand"]) < len(words["hand"]):
                 K, _ = compute_intrinsics(self.lens, labels.size)
                 try:
-                    hands = (
-                        polygon_drafts.draft_fitted_hand(labels, K, footage.image)
-                        if labels.clicks
-                        else polygon_drafts.draft_detected_hand(labels, self.found(grasp))
-                    )
+                    if labels.clicks:
+                        hands = polygon_drafts.draft_fitted_hand(labels, K, footage.image)
+                    else:
+                        hands = polygon_drafts.draft_detected_hand(labels, self.found(grasp))
                     drafts.put(key, "hand", words["hand"][labels.first], hands)
-                except UsageError as error:  # masks can be filled in nevertheless
+                except UsageError as error:  # masks are drafted nevertheless
                     wrong = error
             if len(known["masks"]) < len(words["masks"]):
-                for n, content in polygon_drafts.draft_masks(
-                    labels, footage.image, known["masks"], self.found(grasp).mask
-                ):
+                seen = self.found(grasp).mask
+                for n, content in polygon_drafts.draft_masks(labels, footage.image, known["masks"], seen):
                     drafts.put(key, "masks", words["masks"][n], {n: content | {"number": footage.number(n)}})
                     job.report(n - labels.first + 1, frames)
         if wrong is not None:

@@ -1,4 +1,4 @@
-"""The page's requests: the tasks, their frames, and changes of marks. Plain functions of plain data, no HTTP."""
+"""The page's requests on tasks, frames, marks and labels, as methods of plain data without HTTP."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ from pathlib import Path
 from threading import Lock
 from uuid import uuid4
 
-from getagrip.geometry.camera import Lens
+from getagrip.geometry.lens import Lens
 from getagrip.io import files
 from getagrip.io.files import Json
 from getagrip.readers.datasets.epic.epic_tables import EPIC_CATEGORIES
 from getagrip.readers.footage import Footage, FrameNames
 from getagrip.studio.labelling import Labelling
 from getagrip.studio.store import history, labels, marks
-from getagrip.studio.store import marks as store_marks
 from getagrip.studio.store.export_clip import tasks_of_labels
 from getagrip.studio.store.history import Change, RefusedError, parse_token
 from getagrip.studio.store.labels import Labels
@@ -33,7 +32,7 @@ from getagrip.studio.store.marks import (
 from getagrip.studio.store.tasks import Task, open_footage
 
 MAX_OPEN_FOOTAGE = 4
-"""Footage that is kept open at once."""
+"""Maximum number of videos that are open at once."""
 
 
 class Project:
@@ -45,7 +44,7 @@ class Project:
         self.store = store
         self.labelling = Labelling(store, lens or Lens(), store.path.parent)
         self.name = sha256(str(store.path.resolve()).encode()).hexdigest()[:16]
-        """Name of the database for the page, so that it takes no other for it."""
+        """Name by which the page distinguishes databases."""
         self._open: OrderedDict[str, Footage] = OrderedDict()
         self._lock = Lock()
 
@@ -58,7 +57,7 @@ class Project:
         self.store.close()
 
     def overview(self, annotator: object) -> dict[str, object]:
-        """List all tasks, and an annotator's progress with each: "", started, marked, discarded."""
+        """List all tasks with an annotator's state of each: "", started, marked, discarded. Raises ``RefusedError``."""
         own: dict[str, list[Mark]] = {}
         for mark in self.store.marks.standing(annotator=history.check_annotator(annotator)):
             own.setdefault(mark.task, []).append(mark)
@@ -69,9 +68,9 @@ class Project:
         return {"project": self.name, "tasks": tasks, "categories": EPIC_CATEGORIES, "reasons": marks.DISCARD_REASONS}
 
     def task(self, key: object) -> dict[str, object]:
-        """Return the frames of a task.
+        """Return the frames of a task, from 0.
 
-        Raises ``RefusedError`` for an unknown one, ``InputError`` where it does not open.
+        Raises ``RefusedError`` for an unknown task, ``InputError`` for malformed footage.
         """
         task = self._task(key)
         footage = self.footage(task)
@@ -87,47 +86,46 @@ class Project:
         return footage.jpeg(index, whole), footage.time(index), footage.number(index)
 
     def marks(self, key: object, annotator: object) -> dict[str, object]:
-        """Return an annotator's marks of a task, and the number of their last change."""
+        """Return an annotator's marks of a task, and the number of the last change. Raises ``RefusedError``."""
         task, name = self._task(key), history.check_annotator(annotator)
-        newest = self.store.marks.newest(task.key, name)  # before the marks: what changes in between is asked for again
+        newest = self.store.marks.newest(task.key, name)  # before the marks: later changes are requested again
         own = self.store.marks.standing(task.key, name)
         state = interaction_of_marks(task, self.footage(task), own).state() if is_interaction(own) else None
         return {"newest": newest, "marks": [asdict(mark) for mark in own], "interaction": state}
 
     def change(self, content: Json) -> dict[str, object]:
-        """Make a change. Raises ``RefusedError``."""
+        """Make a change of a mark; return the task's marks. Raises ``RefusedError``."""
         change = history.read_change(content, marks.MARK_SETTABLE_FIELDS)
-        blank = Mark(
-            parse_token(content, "mark"), str(content.get("task")), history.check_annotator(content.get("annotator"))
-        )
+        name = history.check_annotator(content.get("annotator"))
+        blank = Mark(parse_token(content, "mark"), str(content.get("task")), name)
         footage = self.footage(self._task(blank.task))
         self.store.marks.apply(change, blank, lambda mark, sets: marks.apply_mark_change(mark, sets, footage))
         return self.marks(blank.task, blank.annotator)
 
     def undo(self, content: Json) -> dict[str, object]:
-        """Take back a tab's last change of a task's marks. Raises ``RefusedError``."""
+        """Undo a tab's last change of a task's marks; return the task's marks. Raises ``RefusedError``."""
         task, name = self._task(content.get("task")), history.check_annotator(content.get("annotator"))
         undone = self.store.marks.undo(task.key, name, parse_token(content, "tab"), parse_token(content, "change"))
         return self.marks(task.key, name) | {"undone": undone is not None}
 
     def labels(self, content: Json) -> dict[str, object]:
-        """Return the labels of a grasp. Raises ``RefusedError``."""
+        """Return the state of a grasp's labels. Raises ``RefusedError``."""
         return self.labelling.state(self._grasp(content))
 
     def label(self, content: Json) -> dict[str, object]:
-        """Make a change of one of its frames. Raises ``RefusedError``."""
+        """Make a change of a key frame of a grasp. Raises ``RefusedError``."""
         grasp = self._grasp(content)
         self.labelling.change(grasp, content)
         return self.labelling.state(grasp)
 
     def unlabel(self, content: Json) -> dict[str, object]:
-        """Take back a tab's last change of its frames. Raises ``RefusedError``."""
+        """Undo a tab's last change of a grasp's key frames. Raises ``RefusedError``."""
         grasp = self._grasp(content)
         undone = self.labelling.undo(grasp, parse_token(content, "tab"), parse_token(content, "change"))
         return self.labelling.state(grasp) | undone
 
     def work(self, content: Json) -> dict[str, object]:
-        """Begin to "propagate", write "files" or "reconstruct" a grasp, or "cancel" that. Raises ``RefusedError``."""
+        """Start to "propagate", write "files" or "reconstruct" a grasp, or "cancel" it. Raises ``RefusedError``."""
         grasp = self._grasp(content)
         known = {
             "propagate": lambda: self.labelling.propagate(grasp),
@@ -141,21 +139,21 @@ class Project:
         return self.labelling.state(grasp)
 
     def drafts(self, content: Json, since: int) -> dict[str, object]:
-        """Return some drafts of a grasp's frames that are newer than what was given before. Raises ``RefusedError``."""
+        """Return some drafts of a grasp's frames with numbers above ``since``. Raises ``RefusedError``."""
         return {"drafts": self.store.drafts.since(self._grasp(content).mark.mark, since)}
 
     def labels_file(self, content: Json) -> tuple[str, str]:
-        """Return the labels of a grasp as JSON, and the name of the file. Raises ``RefusedError``."""
+        """Return the text of a grasp's label file, and the file's name. Raises ``RefusedError``."""
         grasp = self._grasp(content)
         text = files.to_json(labels.labels_to_json(self.labelling.whole_labels(grasp))) + "\n"
         return text, f"labels-{grasp.name}.json"
 
     def result_file(self, content: Json, name: str) -> bytes:
-        """Return the picture or the page of a grasp's result. Raises ``RefusedError``."""
+        """Return the picture or the page of a grasp's report. Raises ``RefusedError``."""
         return self.labelling.result_file(self._grasp(content), name)
 
     def labelled(self) -> Iterator[Grasp]:
-        """Yield the finished grasps and whole interactions of these tasks that have labels. Raises ``InputError``."""
+        """Yield the labelled, finished grasps and whole interactions of the tasks. Raises ``InputError``."""
         with_labels = {one.grasp for one in self.store.keyframes.standing()}
         for task, name in dict.fromkeys((self.tasks[mark.task], mark.annotator) for mark in self.known()):
             for key, grasp in self._grasps(task, name).items() if task.path is not None else ():
@@ -163,16 +161,16 @@ class Project:
                     yield grasp
 
     def import_labels(self, labels: Labels, annotator: str) -> Grasp:
-        """Take a file of labels as an annotator's own, of a grasp that is marked if it is not yet.
+        """Store the labels of a file as an annotator's; mark the grasp if it is not marked yet.
 
-        Raises ``RefusedError`` where it is of other footage.
+        Raises ``RefusedError`` for labels of other footage.
         """
-        tasks = tasks_of_labels(labels, list(self.tasks.values()))
+        tasks, extent = tasks_of_labels(labels, list(self.tasks.values())), (labels.first, labels.last)
         footage = self.footage(tasks[0])
-        inside = [task for task in tasks if _contains_interval(task.extent(footage), (labels.first, labels.last))]
+        extents = [(task, task.extent(footage)) for task in tasks]
+        inside = [task for task, (first, last) in extents if first <= labels.first and labels.last <= last]
         task, name = (inside or tasks)[0], history.check_annotator(annotator)
         sets = {"start": labels.first, "end": labels.last, "side": labels.side}
-        extent = (labels.first, labels.last)
         known = self._grasps(task, name).values()
         same = [grasp for grasp in known if grasp.mark.interval == extent and grasp.mark.side == labels.side]
         grasp = same[-1] if same else Grasp(task, footage, self._mark(task, name, str(uuid4()), sets))
@@ -180,14 +178,13 @@ class Project:
         return grasp
 
     def import_segments(self, path: Path, annotator: str) -> int:
-        """Take a file of segments as an annotator's own, to be corrected; returns how many there are.
+        """Store the segments of a file as an annotator's marks, to be corrected; return their number.
 
-        What the file says of the camera is not taken: the annotator states it. Raises ``InputError`` for a file that is
-        malformed or of other footage, ``RefusedError`` where the annotator has marked segments there already.
+        The file's camera is ignored: the annotator states it. Raises ``InputError`` for a file that is malformed or of
+        other footage, ``RefusedError`` if the annotator has marked segments of the task already.
         """
         name, count, tab = history.check_annotator(annotator), 0, str(uuid4())
-        there = [task for task in self.tasks.values() if task.path is not None]
-        for task, listed in read_task_segments(path, there):
+        for task, listed in read_task_segments(path, self._present()):
             footage = self.footage(task)
             if any(mark.start is not None for mark in self.store.marks.standing(task.key, name)):
                 raise RefusedError(f"{name} has marked segments of {task.key} already: choose another --annotator")
@@ -199,35 +196,34 @@ class Project:
         return count
 
     def mark_grasp(self, task: Task, annotator: str, extent: tuple[int, int], side: str) -> None:
-        """Mark a grasp, both frames included, unless the annotator has it already. Raises ``RefusedError``."""
+        """Mark a grasp, both frames included, unless the annotator has marked it already. Raises ``RefusedError``."""
         name = history.check_annotator(annotator)
         own = self.store.marks.standing(task.key, name)
         if not any(mark.interval == extent and mark.side == side for mark in own):
             self._mark(task, name, str(uuid4()), {"start": extent[0], "end": extent[1], "side": side})
 
     def _mark(self, task: Task, name: str, tab: str, sets: Json) -> Mark:
-        """Make a new mark, of the object that the task is about."""
+        """Make a new mark of the task's object."""
         footage = self.footage(task)
         blank, about = Mark(str(uuid4()), task.key, name), {"category": task.category, "entity": task.entity}
         change = Change(str(uuid4()), tab, sets | {key: text for key, text in about.items() if text})
         return self.store.marks.apply(change, blank, lambda mark, sets: marks.apply_mark_change(mark, sets, footage))
 
     def interactions(self, annotator: str) -> list[Interaction]:
-        """Return an annotator's whole interactions of these tasks. Raises ``InputError``."""
-        there = [task for task in self.tasks.values() if task.path is not None]
-        own = ((task, self.store.marks.standing(task.key, annotator)) for task in there)
+        """Return an annotator's whole interactions of the tasks. Raises ``InputError``."""
+        own = ((task, self.store.marks.standing(task.key, annotator)) for task in self._present())
         return [interaction_of_marks(task, self.footage(task), marks) for task, marks in own if is_interaction(marks)]
 
     def known(self, annotator: str | None = None) -> list[Mark]:
-        """Return the marks of these tasks; those of other tasks in the same file are left out."""
+        """Return the marks of the tasks, without those of other tasks in the same file."""
         return [mark for mark in self.store.marks.standing(annotator=annotator) if mark.task in self.tasks]
 
     def agreement(self) -> dict[str, object]:
         """Return the agreement of every two annotators."""
-        return {"pairs": [asdict(one) for one in store_marks.pairwise_agreements(self.known())]}
+        return {"pairs": [asdict(one) for one in marks.pairwise_agreements(self.known())]}
 
     def exported(self, kind: str, annotator: object) -> str:
-        """Export an annotator's grasps as text, "csv" or "json", or their "segments".
+        """Return a file of an annotator's grasps as text: "csv", "json", or their "segments".
 
         Raises ``RefusedError``, ``InputError``.
         """
@@ -237,13 +233,13 @@ class Project:
             return files.to_json(listed) + "\n"
         found = self.known(name)
         if kind == "csv":
-            return store_marks.epic_csv(found, self.tasks)
-        return files.to_json(store_marks.grasp_intervals(found, self.tasks)) + "\n"
+            return marks.epic_csv(found, self.tasks)
+        return files.to_json(marks.grasp_intervals(found, self.tasks)) + "\n"
 
     def footage(self, task: Task) -> Footage:
-        """Return the footage of a task, opened where it is not.
+        """Open the footage of a task, or return it if it is open.
 
-        Raises ``InputError``, ``RefusedError`` if none was found.
+        Raises ``InputError``, ``RefusedError`` for a task without footage.
         """
         if task.path is None:
             raise RefusedError(f"{task.video}: no such video or folder of images")
@@ -257,17 +253,16 @@ class Project:
             return self._open[name]
 
     def _grasp(self, content: Json) -> Grasp:
-        """Return the grasp that a request is about, and who asks. Raises ``RefusedError``."""
+        """Return the grasp named in a request. Raises ``RefusedError``."""
         task, name = self._task(content.get("task")), history.check_annotator(content.get("annotator"))
         own = self._grasps(task, name)
         if not isinstance(key := content.get("grasp"), str) or key not in own:
-            raise RefusedError(
-                f"grasp must be one that {name} has marked in {task.key} (got {files.shorten_value(key)})"
-            )
+            which = f"one that {name} has marked in {task.key}"
+            raise RefusedError(f"grasp must be {which} (got {files.shorten_value(key)})")
         return own[key]
 
     def _grasps(self, task: Task, name: str) -> dict[str, Grasp]:
-        """Return what can be labelled: a person's segments of a task and, at last, the whole interaction."""
+        """Return what an annotator can label: segments of a task and, last, the whole interaction."""
         footage, own = self.footage(task), self.store.marks.standing(task.key, name)
         out = {mark.mark: Grasp(task, footage, mark) for mark in own if mark.start is not None}
         if is_interaction(own) and (whole := interaction_of_marks(task, footage, own)).finished:
@@ -276,12 +271,12 @@ class Project:
 
     def _task(self, key: object) -> Task:
         if not isinstance(key, str) or key not in self.tasks:
-            raise RefusedError(f"task must be one of the {len(self.tasks)} there are (got {files.shorten_value(key)})")
+            raise RefusedError(f"task must be one of {len(self.tasks)} tasks (got {files.shorten_value(key)})")
         return self.tasks[key]
 
-
-def _contains_interval(outer: tuple[int, int], inner: tuple[int, int]) -> bool:
-    return outer[0] <= inner[0] and inner[1] <= outer[1]
+    def _present(self) -> list[Task]:
+        """Return the tasks with footage."""
+        return [task for task in self.tasks.values() if task.path is not None]
 
 
 def _task_state(found: list[Mark]) -> str:

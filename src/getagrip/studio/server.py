@@ -1,9 +1,9 @@
 """The page over HTTP, for this machine and this user only.
 
-The server listens on 127.0.0.1, which a tunnel may lead to from any port of another machine. Others who work on this
-one can reach it, too: it answers only who has opened the address with the token, which becomes a cookie. A page of
-another site that a browser has open could still send requests here: those are recognised by the name they ask for
-(``Host``) and by where they come from (``Origin``, ``Sec-Fetch-Site``), and are refused.
+The server listens on 127.0.0.1, to which a tunnel may lead from any port of another machine. Since other users of this
+machine can reach it, too, it answers only a browser that has opened the address with the token, which becomes a cookie.
+Requests sent by pages of other sites are recognised by their host (``Host``) and origin (``Origin``,
+``Sec-Fetch-Site``), and are refused.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from getagrip.studio.store.history import RefusedError
 LOCAL_HOST_NAMES = (LOOPBACK, "localhost")
 """Names of this machine in its own browser."""
 DEFAULT_PORT, N_PORTS_TRIED = 8765, 20
-"""The first of the ports that are tried where none is named, and how many of them."""
+"""First of the ports that are tried without ``--port``, and their number."""
 MIN_TOKEN_LENGTH = 20
-"""Letters of a token."""
-MISSING_TOKEN_MESSAGE = "open the address that getagrip annotate has printed: the token in it is missing here"
+"""Minimum number of characters of a token."""
+MISSING_TOKEN_MESSAGE = "open the address that getagrip annotate has printed: its token is missing here"
 MAX_BODY_BYTES = 256 * 2**10
-"""Bytes of a request."""
+"""Maximum size of a request's body."""
 MAX_SKIPPED_BODY_BYTES = 64 * 2**20
-"""Bytes of a request that is too large: of more the connection is closed."""
+"""Bytes of a larger body that are read before the answer, so that the sender receives it."""
 STUDIO_STYLESHEETS = ("page", "labels")
 STUDIO_SCRIPTS = (
     "app", "grasps", "joints", "labelling", "labels", "outlines", "overlay", "page", "panel", "player", "saving",
@@ -56,7 +56,7 @@ DATA_ROUTES: dict[str, Callable[[Project, dict[str, str]], dict[str, object]]] =
     "/api/drafts": lambda project, asked: project.drafts(asked, _parse_whole_number(asked.get("since"))),
     "/api/agreement": lambda project, _: project.agreement(),
 }
-"""Paths of JSON answers."""
+"""Functions that answer with JSON, by path."""
 CHANGE_ROUTES = {
     "/api/change": "change",
     "/api/undo": "undo",
@@ -64,28 +64,28 @@ CHANGE_ROUTES = {
     "/api/unlabel": "unlabel",
     "/api/work": "work",
 }
-"""Methods of the project, by where their content is sent."""
+"""Methods of the project, by the path of their requests."""
 FILE_ROUTES = {"/grasps.csv": "csv", "/grasps.json": "json", "/segments.json": "segments"}
-"""Paths of files with an annotator's marks."""
+"""Kinds of files of an annotator's marks, by path."""
 REPORT_ROUTES = {"/report.png": "image/png", "/report.html": "text/html; charset=utf-8"}
-"""Paths of the files of a grasp's result."""
+"""Content types of a report's files, by path."""
 REPORT_HEADERS = {
     "Content-Security-Policy": f"{SCRIPTED_PAGE_HEADERS['Content-Security-Policy']}; sandbox allow-scripts"
 }
-"""Headers of a report: its scripts run as those of another site, so that they reach neither marks nor cookies."""
+"""Headers of a report: its scripts run as another site's, so they reach neither marks nor cookies."""
 STUDIO_PAGE_HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'"
 }
-"""Headers of the page whose scripts are files of ours."""
+"""Headers of the page: only its own scripts run."""
 
 
 class StudioServer(QuietServer):
-    """Serves one project."""
+    """The server of one project."""
 
     closed = False
 
     def __init__(self, project: Project, port: int, token: str = "") -> None:
-        """Listen on a port, on any free one for 0. Raises ``UsageError`` where it is taken.
+        """Listen on a port, for 0 on any free port. Raises ``UsageError`` for a port in use.
 
         Without a ``token`` a new one is made.
         """
@@ -106,13 +106,13 @@ class StudioServer(QuietServer):
         return compare_digest(token.encode("utf-8", "replace"), self.token.encode())
 
     def server_close(self) -> None:
-        """Listen no more, and answer nothing more on connections that are still open."""
+        """Stop listening, and answer no further requests on open connections."""
         self.closed = True
         super().server_close()
 
 
 def serve_on_free_port(project: Project, token: str) -> StudioServer:
-    """Start a server at the usual port, or at the next one that is free. Raises ``UsageError`` where none is."""
+    """Start a server at the default port, else at the next free port. Raises ``UsageError`` without a free port."""
     for port in range(DEFAULT_PORT, DEFAULT_PORT + N_PORTS_TRIED):
         with suppress(UsageError):
             return StudioServer(project, port, token)
@@ -120,9 +120,9 @@ def serve_on_free_port(project: Project, token: str) -> StudioServer:
 
 
 def persistent_token(path: Path) -> str:
-    """Read the token in a private file of ours; make one where there is none, so that pages survive a restart.
+    """Read the token in the user's private file, or make it, so that open pages survive a restart of the server.
 
-    A link is not followed, and a short token is not used: whoever sent the folder may know either.
+    Links are not followed, and short tokens are replaced: the sender of a folder may know either.
     """
     with suppress(OSError, ValueError):
         about = path.lstat()
@@ -151,37 +151,37 @@ class _StudioHandler(QuietHandler):
         self._answer(self._post)
 
     def _answer(self, act: Callable[[], None]) -> None:
-        """Do what is asked; errors become one line of JSON, never a traceback."""
+        """Answer a request; errors become one line of JSON, never a traceback."""
         if self.server.closed:
             self.close_connection = True
             return
         try:
             if (reason := self._foreign()) is not None:
-                self.close_connection = True
-                self.send_json({"error": reason}, HTTPStatus.FORBIDDEN)
+                self._fail(reason, HTTPStatus.FORBIDDEN, close=True)
             elif not self._may_enter():
-                self.close_connection = True
-                self.send_json({"error": MISSING_TOKEN_MESSAGE}, HTTPStatus.UNAUTHORIZED)
+                self._fail(MISSING_TOKEN_MESSAGE, HTTPStatus.UNAUTHORIZED, close=True)
             else:
                 act()
         except RefusedError as error:
-            self.send_json({"error": str(error)}, HTTPStatus.CONFLICT)
+            self._fail(error, HTTPStatus.CONFLICT)
         except InputError as error:
-            self.send_json({"error": str(error)}, HTTPStatus.UNPROCESSABLE_ENTITY)
+            self._fail(error, HTTPStatus.UNPROCESSABLE_ENTITY)
         except (GetagripError, ValueError) as error:
-            self.send_json({"error": str(error)}, HTTPStatus.BAD_REQUEST)
+            self._fail(error, HTTPStatus.BAD_REQUEST)
         except ConnectionError:
             self.close_connection = True
-        except (OSError, sqlite3.Error) as error:  # a full disk, a file that is locked: the page keeps and tries again
-            self.close_connection = True
-            self.send_json({"error": str(error)}, HTTPStatus.SERVICE_UNAVAILABLE)
+        except (OSError, sqlite3.Error) as error:  # a full disk or a locked file: the page tries again
+            self._fail(error, HTTPStatus.SERVICE_UNAVAILABLE, close=True)
         except Exception as error:  # without an answer the page would try for ever
-            self.close_connection = True
-            words = f"an error of the program: {type(error).__name__}: {error}"
-            self.send_json({"error": words}, HTTPStatus.INTERNAL_SERVER_ERROR)
+            message = f"an error of the program: {type(error).__name__}: {error}"
+            self._fail(message, HTTPStatus.INTERNAL_SERVER_ERROR, close=True)
+
+    def _fail(self, error: object, status: HTTPStatus, close: bool = False) -> None:
+        self.close_connection = self.close_connection or close
+        self.send_json({"error": str(error)}, status)
 
     def _foreign(self) -> str | None:
-        """Why a request is refused before it is looked at."""
+        """Return why a request of another site is refused; None for requests of the page."""
         host = self.headers.get("Host") or ""
         name, _, port = host.rpartition(":")
         if name not in LOCAL_HOST_NAMES or not port.isdigit():
@@ -195,7 +195,7 @@ class _StudioHandler(QuietHandler):
         return None
 
     def _may_enter(self) -> bool:
-        """Return whether a request has the token, in its cookie or, as the first one, in its address."""
+        """Return whether a request has the token, in its cookie or, for the page itself, in its address."""
         url = urlsplit(self.path)
         if url.path == "/" and self.server.admits("".join(parse_qs(url.query).get("token", [])[-1:])):
             return True
@@ -209,7 +209,7 @@ class _StudioHandler(QuietHandler):
         url = urlsplit(self.path)
         asked = {key: values[-1] for key, values in parse_qs(url.query).items()}
         project = self.server.project
-        if url.path == "/" and "token" in asked:  # out of the address, which others may come to see
+        if url.path == "/" and "token" in asked:  # remove it from the address, which others may see
             kept = f"{self.server.cookie}={self.server.token}; Path=/; HttpOnly; SameSite=Lax"
             self.send(b"", "text/plain", {"Location": "/", "Set-Cookie": kept}, HTTPStatus.SEE_OTHER)
         elif url.path in PAGE_ROUTES:
@@ -233,15 +233,13 @@ class _StudioHandler(QuietHandler):
             text = project.exported(FILE_ROUTES[url.path], asked.get("annotator"))
             self._send_file(text, url.path.rpartition(".")[2], f"{asked.get('annotator')}-{url.path[1:]}")
         else:
-            self.send_json({"error": "no such page"}, HTTPStatus.NOT_FOUND)
+            self._fail("no such page", HTTPStatus.NOT_FOUND)
 
     def _post(self) -> None:
         length = _parse_whole_number(self.headers.get("Content-Length"))
         if length > MAX_BODY_BYTES or self.headers.get("Content-Type") != "application/json":
             self.close_connection = True
-            for _ in range(
-                0, min(length, MAX_SKIPPED_BODY_BYTES), MAX_BODY_BYTES
-            ):  # who is still sending hears no answer
+            for _ in range(0, min(length, MAX_SKIPPED_BODY_BYTES), MAX_BODY_BYTES):
                 self.rfile.read(min(length, MAX_BODY_BYTES))
                 length -= MAX_BODY_BYTES
             raise UsageError(f"body must be JSON of at most {MAX_BODY_BYTES} bytes")
@@ -252,11 +250,11 @@ class _StudioHandler(QuietHandler):
         if not isinstance(content, dict):
             raise UsageError("body must be a JSON object")
         if content.get("project", self.server.project.name) != self.server.project.name:
-            self.send_json({"error": "another database of marks is open"}, HTTPStatus.SERVICE_UNAVAILABLE)
+            self._fail("another database of marks is open", HTTPStatus.SERVICE_UNAVAILABLE)
         elif self.path in CHANGE_ROUTES:
             self.send_json(getattr(self.server.project, CHANGE_ROUTES[self.path])(content))
         else:
-            self.send_json({"error": "no such page"}, HTTPStatus.NOT_FOUND)
+            self._fail("no such page", HTTPStatus.NOT_FOUND)
 
     def _send_file(self, text: str, kind: str, name: str) -> None:
         head = {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(name)}"}
@@ -264,7 +262,7 @@ class _StudioHandler(QuietHandler):
 
 
 def _parse_whole_number(text: str | None) -> int:
-    """Parse a whole number in a request. Raises ``UsageError``."""
+    """Parse a whole number of a request. Raises ``UsageError``."""
     if text is None or not text.isascii() or not text.isdigit() or len(text) > 9:
         raise UsageError("length must be a whole number")
     return int(text)

@@ -1,11 +1,9 @@
 """Grasps by contact: an object is brought to an open hand, then each finger closes joint by joint until it touches.
 
-The object comes to one of two places of the hand: the ``palm`` (power grasp) or the ``pinch`` between the pads of thumb
-and fingers (precision grasp). A finger bends all its joints together until one of its segments touches; the joints up
-to that segment stop, the others go on (the automatic grasp of Miller and Allen, "GraspIt!", 2004). The thumb comes
-last and stops at the fingers as well; where it would miss the object, or stand in it, it is steered aside.
-
-Signed distances to an object, and the least of them of points on their way to it.
+The object comes to one of two places: the ``palm`` (power grasp), or the ``pinch`` between the pads of thumb and
+fingers (precision grasp). A finger bends all its joints together until one of its segments touches; the joints up to
+this segment stop, the others continue (the automatic grasp of Miller and Allen, "GraspIt!", 2004). The thumb closes
+last and stops at the fingers, too; it is steered aside where it would miss or penetrate the object.
 """
 
 from __future__ import annotations
@@ -24,6 +22,16 @@ from getagrip.hands.generic import rest_fingers
 from getagrip.hands.grips import HOLD_FRAMES, Grip, frame_from_axes
 from getagrip.hands.model import KNUCKLES, PosedHand, ShapedHand, joint_transforms, skin
 
+CONTACT_DEPTH_M = 0.0005
+"""Depth in the object at which a segment of a finger stops: soft flesh [m]."""
+MAX_HOLD_GAP_M = 0.002
+"""Maximum distance at which a finger holds the object [m]."""
+FLESH_COMPLIANCE_M = 0.0015
+"""Depth to which flesh yields [m]."""
+THUMB_ABDUCTION_ANGLES_DEG = (-10.0, 10.0, -20.0, 20.0, -30.0, 30.0)
+"""Tried sideways turns of the thumb's metacarpal [deg]."""
+_FIST_ANGLES_DEG = ((80.0, 95.0, 60.0),) * 4
+
 
 class SignedDistance:
     """Signed distance to a mesh of closed parts, which may overlap, negative inside [m]."""
@@ -37,7 +45,7 @@ class SignedDistance:
         self._winding.init(mesh.vertices, mesh.faces)
 
     def __call__(self, X: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch"]:
-        """Distances at points in the mesh's frame."""
+        """Compute the distances of points in the mesh's frame."""
         flat = np.ascontiguousarray(X.reshape(-1, 3))
         distance = np.sqrt(self._tree.squared_distance(self._mesh.vertices, self._mesh.faces, flat)[0])
         boxed = np.flatnonzero(np.all((flat >= self._box[0]) & (flat <= self._box[1]), axis=1))
@@ -49,17 +57,17 @@ class SignedDistance:
 class MinSignedDistance:
     """The least signed distance [m] of each of some groups of moving points.
 
-    A distance changes by no more than the way of its point, so only points that may be the nearest are looked up.
+    A distance changes by at most its point's displacement: only points that may be the nearest are looked up.
     """
 
     def __init__(self, distance: SignedDistance, groups: int, X: Float[ndarray, "*#groups n 3"]) -> None:
-        """``X`` is where the points are to begin with: those of each group, or of all of them."""
+        """Look up the points' initial positions ``X``, of each group or common to all."""
         self._distance = distance
         self._known = np.array(np.broadcast_to(distance(X), (groups, X.shape[-2])))
         self._at = np.array(np.broadcast_to(X, (*self._known.shape, 3)))
 
     def __call__(self, X: Float[ndarray, "B n 3"], which: Int[ndarray, "B"]) -> Float[ndarray, "B"]:
-        """Return the least distance of each of the groups ``which``, whose points are now at X."""
+        """Return the least distance of each of the groups ``which``, whose points have moved to X."""
         way, known = np.linalg.norm(X - self._at[which], axis=-1), self._known[which]
         group, point = np.nonzero((known - way <= (known + way).min(axis=1, keepdims=True)) & (way > 0.0))
         if group.size:
@@ -69,18 +77,8 @@ class MinSignedDistance:
         return np.asarray((known - way).min(axis=1))
 
 
-CONTACT_DEPTH_M = 0.0005
-"""A segment touches when it is this deep in the object [m]: soft flesh."""
-MAX_HOLD_GAP_M = 0.002
-"""A finger no farther than this holds on to the object [m]."""
-FLESH_COMPLIANCE_M = 0.0015
-"""How deep flesh gives way [m]."""
-THUMB_ABDUCTION_ANGLES_DEG = (-10.0, 10.0, -20.0, 20.0, -30.0, 30.0)
-"""Range of the thumb's metacarpal to the side [deg]."""
-
-
 def perturb_grip(grip: Grip, turn_deg: float, shift_mm: float, rng: np.random.Generator) -> Grip:
-    """Turn a grip about a random axis and shift it, by these root mean squares."""
+    """Turn a grip about a random axis and shift it; both sizes are root mean squares."""
     R = se3.exp_so3(np.radians(turn_deg) / np.sqrt(3.0) * rng.normal(size=3))
     at = np.array(grip.at) + 1e-3 * shift_mm / np.sqrt(3.0) * rng.normal(size=3)
     return Grip(grip.hold, _triple(at), _triple(R @ grip.into), _triple(R @ grip.aside))
@@ -92,17 +90,21 @@ def _triple(v: Float[ndarray, "3"]) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class _Fingers:
-    """How the fingers move at a place of the right hand that objects come to; angles in degrees."""
+    """The fingers' motion at one of the right hand's places; angles in degrees.
+
+    Attributes:
+        opened: angles of the open hand.
+        closed: angles of the closed hand.
+        thumb_aim: direction of the opposed thumb's metacarpal.
+        thumb_pad: direction of the opposed thumb's pad.
+    """
 
     opened: tuple[tuple[float, float, float], ...]
     closed: tuple[tuple[float, float, float], ...]
-    thumb_aim: tuple[float, float, float] | None
-    """Direction of the opposed thumb's metacarpal; nothing: as at rest."""
+    thumb_aim: tuple[float, float, float]
     thumb_pad: tuple[float, float, float]
-    """Direction of the opposed thumb's pad."""
 
 
-_FIST_ANGLES_DEG = ((80.0, 95.0, 60.0),) * 4
 _FINGERS = {
     "palm": _Fingers(
         opened=((-35.0, -10.0, 0.0), *((-12.0, 4.0, 2.0),) * 4),
@@ -120,7 +122,7 @@ _FINGERS = {
 
 
 class _Obstacles:
-    """Fingers that the thumb may touch, of posed hands."""
+    """The other fingers of posed hands, at which the thumb stops."""
 
     def __init__(self, posed: PosedHand, members: Bool[ndarray, "V"]) -> None:
         from scipy.spatial import cKDTree
@@ -129,7 +131,7 @@ class _Obstacles:
         self._points, self._normals = posed.vertices[:, members], posed.normals[:, members]
 
     def gap(self, X: Float[ndarray, "B n 3"], which: Int[ndarray, "B"]) -> Float[ndarray, "B"]:
-        """Compute the smallest signed distance from points of the thumb to the fingers of some of the hands [m]."""
+        """Compute the least signed distance [m] of the thumb's points to the fingers of the hands ``which``."""
         gap = np.empty(len(X))
         for b, hand in enumerate(which):
             distance, nearest = self._trees[hand].query(X[b])
@@ -140,53 +142,51 @@ class _Obstacles:
 
 @dataclass(frozen=True)
 class Grasper:
-    """A right generic hand and an object; poses are of the object in the hand."""
+    """A right generic hand that grasps an object; poses are of the object in the hand.
+
+    Attributes:
+        hand: the hand.
+        distance: signed distance to the object.
+        hold: the object's place.
+        steer: turns of the opposed thumb's metacarpal: sideways, and about itself [deg].
+    """
 
     hand: ShapedHand
     distance: SignedDistance
     hold: Literal["palm", "pinch"]
     steer: tuple[float, float] = (0.0, 0.0)
-    """Turns of the opposed thumb's metacarpal: aside, and about itself [deg]."""
 
     def posed(self, angles: Float[ndarray, "*batch 5 3"]) -> PosedHand:
-        """Return the hand with its joints bent by ``angles`` [rad].
-
-        The thumb comes first; each finger goes from the palm to the tip.
-        """
+        """Bend the joints of each finger by ``angles`` [rad], thumb first, from the palm to the tip."""
         return self.hand.with_pose(self._pose(angles).reshape(*angles.shape[:-2], 45))
 
     def _pose(self, angles: Float[ndarray, "*batch 5 3"]) -> Float[ndarray, "*batch 15 3"]:
-        """Rotation vectors of the joints [rad] in MANO's order."""
+        """Rotation vectors of the joints, in MANO's order [rad]."""
         hold = _FINGERS[self.hold]
         rest = rest_fingers()
         pose = np.zeros((*angles.shape[:-2], 15, 3))
         for f, name in enumerate(FINGERS):
             hinges = rest[name].axes[:, 1]
             pose[..., KNUCKLES[f] - 1 : KNUCKLES[f] + 2, :] = angles[..., f, :, None] * hinges
-        if hold.thumb_aim is not None:
-            along, _, back = rest["thumb"].axes[0]
-            opposed = frame_from_axes(np.array(hold.thumb_aim), np.array(hold.thumb_pad), np.zeros(3))[:3, :3]
-            aside, roll = np.radians(self.steer)
-            opposed = opposed @ se3.exp_so3(np.array([0.0, aside, 0.0])) @ se3.exp_so3(np.array([roll, 0.0, 0.0]))
-            R = opposed @ np.stack([along, -back, np.cross(along, -back)])
-            first = KNUCKLES[0] - 1
-            pose[..., first, :] = se3.log_so3(R @ se3.exp_so3(pose[..., first, :]))
+        along, _, back = rest["thumb"].axes[0]
+        opposed = frame_from_axes(np.array(hold.thumb_aim), np.array(hold.thumb_pad), np.zeros(3))[:3, :3]
+        aside, roll = np.radians(self.steer)
+        opposed = opposed @ se3.exp_so3(np.array([0.0, aside, 0.0])) @ se3.exp_so3(np.array([roll, 0.0, 0.0]))
+        R = opposed @ np.stack([along, -back, np.cross(along, -back)])
+        first = KNUCKLES[0] - 1
+        pose[..., first, :] = se3.log_so3(R @ se3.exp_so3(pose[..., first, :]))
         return pose
 
     def opened(self) -> PosedHand:
-        """Return the hand before it closes."""
+        """Return the open hand."""
         return self.posed(np.radians(_FINGERS[self.hold].opened))
 
     def approach(self, grip: Grip) -> Float[ndarray, "4 4"]:
-        """Return ``T_hand_obj`` of the object at the open hand.
-
-        In the palm it touches; in the pinch nothing need touch.
-        """
+        """Return ``T_hand_obj`` of the object at the open hand: in contact with the palm, or in the pinch."""
         hold = HOLD_FRAMES[self.hold]
         T_hand_grip = frame_from_axes(np.array(hold.into), np.array(hold.aside), np.array(hold.at))
-        T_hand_obj = T_hand_grip @ se3.inverse(
-            frame_from_axes(np.array(grip.into), np.array(grip.aside), np.array(grip.at))
-        )
+        T_obj_grip = frame_from_axes(np.array(grip.into), np.array(grip.aside), np.array(grip.at))
+        T_hand_obj = T_hand_grip @ se3.inverse(T_obj_grip)
         if self.hold == "pinch":
             return T_hand_obj
         away = np.arange(0.12, -0.04, -0.002)
@@ -199,19 +199,17 @@ class Grasper:
         return se3.rigid(None, offset[k]) @ T_hand_obj
 
     def close(self, T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 5 3"]:
-        """Close the hand on the object at each of its poses; return its joint angles [rad]."""
+        """Close the hand on the object at each pose; return the joint angles [rad]."""
         angles = np.broadcast_to(np.radians(_FINGERS[self.hold].opened), (len(T_hand_obj), 5, 3))
         angles = self._sweep(angles, T_hand_obj, range(1, 5))
         return self._close_thumb(angles, T_hand_obj, self._other_fingers(angles))
 
     def _other_fingers(self, angles: Float[ndarray, "A 5 3"]) -> _Obstacles:
-        """Return the fingers without the thumb."""
         return _Obstacles(self.posed(angles), np.any([self._members(f) for f in range(1, 5)], axis=0))
 
     def _close_thumb(
         self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"], others: _Obstacles
     ) -> Float[ndarray, "A 5 3"]:
-        """Close the thumb, from its open position, on the object and the other fingers."""
         angles = angles.copy()
         angles[:, 0] = np.radians(_FINGERS[self.hold].opened[0])
         return self._sweep(angles, T_hand_obj, range(1), others)
@@ -224,7 +222,7 @@ class Grasper:
         obstacles: _Obstacles | None = None,
         steps: int = 14,
     ) -> Float[ndarray, "A 5 3"]:
-        """Bend fingers, joint by joint, until they touch the object or, given other fingers as obstacles, those."""
+        """Bend fingers, joint by joint, until they touch the object or, if given, the obstacles."""
         angles, closed = angles.copy(), np.radians(_FINGERS[self.hold].closed)
         t = np.linspace(0.0, 1.0, steps)[:, None, None, None]
         T_obj_hand = se3.inverse(T_hand_obj)
@@ -242,10 +240,7 @@ class Grasper:
     def _reach(
         self, X: Float[ndarray, "S A n 3"], T_obj_hand: Float[ndarray, "A 4 4"], obstacles: _Obstacles | None
     ) -> Float[ndarray, "A"]:
-        """Return the place in [0, 1] along the sweep of the first contact.
-
-        Steps without possible contact are passed over.
-        """
+        """Position of the first contact along the sweep, in [0, 1]; steps that cannot touch are skipped."""
         Y = se3.transform(T_obj_hand, X)
         stride = np.linalg.norm(np.diff(Y, axis=0), axis=-1).max(axis=(0, 2)) + 1e-9
         gap = np.full(X.shape[:2], np.inf)
@@ -255,7 +250,7 @@ class Grasper:
             at = step[left]
             now = least(Y[at, left], left)
             ahead = np.maximum(np.floor(0.9 * (now + CONTACT_DEPTH_M) / stride[left]).astype(int), 1)
-            if obstacles is not None:  # their distance is a rough one: look at every step
+            if obstacles is not None:  # their distance is approximate: look at every step
                 now, ahead = np.minimum(now, obstacles.gap(X[at, left], left)), np.ones_like(ahead)
             gap[at, left] = now
             step[left] += ahead
@@ -263,25 +258,25 @@ class Grasper:
         return _first_below(gap, -CONTACT_DEPTH_M)
 
     def gaps(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 6"]:
-        """Compute the smallest signed distance of each finger, thumb first, and of the palm to the object [m]."""
+        """Compute the least signed distance of each finger, thumb first, and of the palm to the object [m]."""
         parts = [self._members(f) for f in range(5)] + [self._members(0, wrist=True)]
         posed = self.posed(angles)
         return np.stack([self._gap(posed, part, T_hand_obj) for part in parts], axis=-1)
 
     def thumb_miss(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> float:
-        """Measure how far the thumb stays from the object, or stands in it beyond what flesh yields [m]."""
+        """Compute the thumb's maximum distance from the object, or its depth beyond that to which flesh yields [m]."""
         gap = self._gap(self.posed(angles), self._members(0), T_hand_obj)
         return float(np.maximum(gap, -gap - FLESH_COMPLIANCE_M).max())
 
     def _gap(
         self, posed: PosedHand, part: Bool[ndarray, "V"], T_hand_obj: Float[ndarray, "A 4 4"]
     ) -> Float[ndarray, "A"]:
-        """Smallest signed distance of a part of the hand to the object [m]."""
+        """Least signed distance of a part of the hand to the object [m]."""
         X = se3.transform(se3.inverse(T_hand_obj), posed.vertices[:, part])
         return np.asarray(self.distance(X).min(axis=1))
 
     def steered(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> Grasper:
-        """Turn the thumb as little as lets it touch the object at its first, middle and last pose.
+        """Turn the thumb as little as possible so that it touches the object at its first, middle and last pose.
 
         ``angles`` are those of the closed hand.
         """
@@ -300,7 +295,7 @@ class Grasper:
         return best
 
     def _members(self, finger: int, stage: int = 0, wrist: bool = False) -> Bool[ndarray, "V"]:
-        """Vertices that move with a finger's joints from ``stage`` on; or with no joint (the palm)."""
+        """Vertices that move with a finger's joints from ``stage`` on; or, for the wrist, with no joint (the palm)."""
         weights = self.hand.model.weights
         if wrist:
             return np.asarray(weights[:, 0] > 0.5)
@@ -309,16 +304,13 @@ class Grasper:
 
 
 def looseness(gaps: Float[ndarray, "6"], hold: Literal["palm", "pinch"]) -> float:
-    """Measure how badly a closed hand holds [m].
-
-    Added are the gaps of the parts that ought to touch, and tenfold their excess depth.
-    """
+    """Sum the gaps of the fingers that ought to touch, and tenfold excess depths, of a closed hand [m]."""
     parts = gaps if hold == "palm" else gaps[:3]
     return float(np.clip(parts, 0.0, 0.02).sum() + 10.0 * np.maximum(-gaps - FLESH_COMPLIANCE_M, 0.0).sum())
 
 
 def _first_below(gap: Float[ndarray, "S A"], level: float) -> Float[ndarray, "A"]:
-    """Return the place in [0, 1] along the first axis where the gap first falls below a level (linear); 1 if never."""
+    """Position in [0, 1] along the first axis where the gap first falls below a level (linear); 1 if never."""
     below = gap < level
     k = np.argmax(below, axis=0)
     column = np.arange(gap.shape[1])

@@ -1,13 +1,14 @@
-"""How the object moves in the hand, and how the fingers follow it.
+"""Motions of a synthetic scene: the object in the hand, the fingers, the hand, the camera and the other hand.
 
-``draw_hinge_motion``: about one axis near the contacts (Eq. 3 of the paper), with a small smooth residual: almost what is fitted.
+``draw_hinge_motion``: about one axis near the contacts (Eq. 3 of the paper), with a small smooth residual: nearly the
+fitted motion model.
 
-``draw_measured_motion``: as objects moved in the hands of real people. Drawn from ``MOTION_STATISTICS`` are how far the object
-turns, how far it is off its best hinge, how long that takes, how far the axis drifts and is from the contacts, and how
-far the contacts slip; so are the shares of slow and of fast motion. Of many random motions, each scaled to the drawn
-sizes, the one is taken of which ``stable_grasps.axis`` measures the drawn numbers.
+``draw_measured_motion``: as measured in real grasps (``MOTION_STATISTICS``). Drawn are the range of the angle, the size
+of the residual, the duration, the drift of the axis, its distance from the contacts and their slip; so are the
+fractions of slow and fast motion. Many random motions are scaled to the drawn sizes, and the one is taken whose
+measures (``stable_grasps.axis``) are nearest to the drawn ones.
 
-The view of a head-worn camera of a hand that carries something, and of the other hand that comes in front.
+The camera is worn on the head and follows the hand, which lifts, carries and tilts the object.
 """
 
 from __future__ import annotations
@@ -40,6 +41,32 @@ from getagrip.stable_grasps.axis import (
 from getagrip.synthetic.grasp import MAX_HOLD_GAP_M, Grasper, MinSignedDistance
 from getagrip.synthetic.scene_options import SceneOptions
 
+MEASURED_MOTION_FILE = Path(__file__).with_name("measured_motion.json")
+"""Statistics of real grasps, by ``benchmarks/motion.py``, last in commit ea913fa."""
+_STORED = json.loads(MEASURED_MOTION_FILE.read_text(encoding="utf-8"))["statistics"]
+MOTION_STATISTICS = {name: MotionStatistics(**row) for name, row in _STORED.items()}
+"""Statistics of in-hand motion in stable grasps, by dataset; SI units."""
+MAX_TURN_DEPTH_M = 0.0035
+"""Maximum depth of a turning object in the open hand [m], for turns that are not measured."""
+N_CANDIDATE_AXES = 24
+"""Number of drawn axes."""
+N_KEYFRAMES = 7
+"""Number of frames in which fingers are closed about a measured motion; in between they are interpolated."""
+MAX_ABS_Z_SCORE = 2.0
+"""Maximum distance of a drawn number from the mean, in standard deviations."""
+N_CORRECTION_ITERATIONS, N_SIZE_ONLY_ITERATIONS = 6, 2
+"""Number of corrections of a drawn motion, and of the last ones, which correct its sizes only."""
+N_TRIED_AXES = 6
+"""Number of drawn axes that are tried: those of the least depth in the open hand."""
+MAX_MOTION_DRAWS, LOG_MEASURE_TOLERANCE = 40, 0.1
+"""Maximum number of drawn motions, and deviation of measures from the drawn numbers that ends the draw [logarithm]."""
+MOTION_SIZE_MEASURES = ("turn", "rotation", "place")
+"""Measures to which motions are scaled, in the order of ``HingeResidual.sizes``."""
+MOTION_SELECTION_MEASURES = (*MOTION_SIZE_MEASURES, "drift", "pivot", "slip")
+"""Measures by which a motion is chosen."""
+MISSING_MEASURE_DEVIATION = 1.0
+"""Deviation of a missing measure, which motions that hardly turn lack."""
+
 
 def draw_egocentric_poses(
     T_hand_obj: Float[ndarray, "4 4"],
@@ -50,8 +77,8 @@ def draw_egocentric_poses(
 ) -> tuple[Float[ndarray, "T 4 4"], Float[ndarray, "T 4 4"]]:
     """Draw ``T_world_cam`` and ``T_world_hand`` of a hand that lifts, carries and tilts, before a head that follows it.
 
-    World: x right, y ahead, z up, the middle of hand and object near the origin. The object starts upright, turned
-    such that the forearm comes from the right shoulder.
+    World: x right, y ahead, z up, the middle of hand and object near the origin. The object starts upright, with the
+    forearm coming from the right shoulder.
     """
     forearm = (T_hand_obj[:3, :3].T @ [1.0, 0.0, 0.0])[:2]
     yaw = np.arctan2(-0.8, 0.6) - np.arctan2(forearm[1], forearm[0]) + rng.normal(0.0, 0.25)
@@ -85,14 +112,13 @@ def draw_other_hand(
     facing = np.array([[-0.45, 0.0, 0.9], [-0.9, 0.0, -0.45], [0.0, -1.0, 0.0]]).T
     usual = se3.transform(T_cam_hand, middle[None])[:, 0].mean(axis=0)
     place = usual * rng.uniform(0.72, 0.82) + np.array([-0.09, 0.03, 0.0])
-    moves = rotate_about_point(
-        np.zeros(3), 0.2 * draw_smooth_curves(rng, frames, 3), 0.03 * draw_smooth_curves(rng, frames, 3)
-    )
+    turns, shifts = (size * draw_smooth_curves(rng, frames, 3) for size in (0.2, 0.03))
+    moves = rotate_about_point(np.zeros(3), turns, shifts)
     return se3.transform(se3.rigid(None, place) @ moves, vertices @ (turn @ facing).T)
 
 
 def draw_smooth_curves(rng: np.random.Generator, frames: int, curves: int) -> Float[ndarray, "T curves"]:
-    """Draw random slow curves with values in [-1, 1]: a few low frequencies over the clip."""
+    """Draw slow random curves with values in [-1, 1]: sums of a few low frequencies over the clip."""
     t = np.linspace(0.0, 1.0, frames)[:, None, None]
     frequency = np.pi * np.array([1.0, 2.0, 3.0])[:, None]
     amplitude = rng.normal(size=(3, curves)) / np.array([1.0, 2.0, 4.0])[:, None]
@@ -108,44 +134,15 @@ def rotate_about_point(
     return se3.rigid(R, point + shift - R @ point)
 
 
-MEASURED_MOTION_FILE = Path(__file__).with_name("measured_motion.json")
-"""Measured on real grasps by ``benchmarks/motion.py``, last in commit ea913fa."""
-MOTION_STATISTICS = {
-    name: MotionStatistics(**row)
-    for name, row in json.loads(MEASURED_MOTION_FILE.read_text(encoding="utf-8"))["statistics"].items()
-}
-"""How objects move in the hand in stable grasps, by dataset; SI units."""
-MAX_TURN_DEPTH_M = 0.0035
-"""How deep the object may turn into the open hand [m], where the turn is not measured."""
-N_CANDIDATE_AXES = 24
-"""Axes to choose from."""
-N_KEYFRAMES = 7
-"""Frames in which fingers are closed about a measured motion; between them they move evenly."""
-MAX_ABS_Z_SCORE = 2.0
-"""No drawn number is further from the mean than this, in standard deviations."""
-N_CORRECTION_ITERATIONS, N_SIZE_ONLY_ITERATIONS = 6, 2
-"""Rounds of correcting a drawn motion, and the number of last ones that correct its sizes only."""
-N_TRIED_AXES = 6
-"""Number of axes that are tried: those about which the object turns the least deep into the open hand."""
-MAX_MOTION_DRAWS, LOG_MEASURE_TOLERANCE = 40, 0.1
-"""Motions that are drawn until what is measured of one is as close as this to what is asked for, as logarithms."""
-MOTION_SIZE_MEASURES = ("turn", "rotation", "place")
-"""Measures that motions are scaled to, as ``Residual.sizes``."""
-MOTION_SELECTION_MEASURES = (*MOTION_SIZE_MEASURES, "drift", "pivot", "slip")
-"""Measures by which one of the motions is chosen."""
-MISSING_MEASURE_DEVIATION = 1.0
-"""Deviation of a motion without a measure, since it hardly turns."""
-
-
 @dataclass(frozen=True)
 class InHand:
-    """The object in the hand over a clip.
+    """The motion of an object in the hand over a clip.
 
     Attributes:
-        T_hand_obj: (T, 4, 4) its poses.
-        axis: the axis that it turns about; of a measured motion, that of its best hinge.
-        posed: the hand that holds it.
-        duration: time that it takes [s]; None: as long as the clip's frames last.
+        T_hand_obj: (T, 4, 4) poses of the object.
+        axis: the axis of its rotation; for a measured motion, that of its best hinge.
+        posed: the grasping hand.
+        duration: duration [s]; None: that of the clip's frames.
     """
 
     T_hand_obj: Float[ndarray, "T 4 4"]
@@ -157,25 +154,22 @@ class InHand:
 def draw_hinge_motion(
     grasper: Grasper, T_base: Float[ndarray, "4 4"], options: SceneOptions, rng: np.random.Generator
 ) -> InHand:
-    """Make a motion that is nearly a rotation about one axis."""
+    """Draw a motion that is nearly a rotation about one axis."""
     axis = _turning_axis(grasper, T_base, options, rng)
     line = se3.rotation_about_line(axis.point, axis.direction, axis.angle)
-    residual = rotate_about_point(
-        axis.point,
-        np.radians(options.residual_deg) * draw_smooth_curves(rng, options.frames, 3),
-        1e-3 * options.residual_mm * draw_smooth_curves(rng, options.frames, 3),
-    )
+    turn = np.radians(options.residual_deg) * draw_smooth_curves(rng, options.frames, 3)
+    shift = 1e-3 * options.residual_mm * draw_smooth_curves(rng, options.frames, 3)
+    residual = rotate_about_point(axis.point, turn, shift)
     keys = np.linspace(axis.angle.min(), axis.angle.max(), 5)
-    posed = _close_at_keyframes(
-        grasper, se3.rotation_about_line(axis.point, axis.direction, keys) @ T_base, keys, axis.angle
-    )
+    T_keys = se3.rotation_about_line(axis.point, axis.direction, keys) @ T_base
+    posed = _close_at_keyframes(grasper, T_keys, keys, axis.angle)
     return InHand(residual @ line @ T_base, axis, posed, None)
 
 
 def draw_measured_motion(
     grasper: Grasper, T_base: Float[ndarray, "4 4"], grasped: Mesh, frames: int, rng: np.random.Generator
 ) -> InHand:
-    """Draw a motion from the statistics of one of the datasets in ``MOTION_STATISTICS``."""
+    """Draw a motion from the statistics of one dataset of ``MOTION_STATISTICS``."""
     statistics = list(MOTION_STATISTICS.values())[rng.integers(len(MOTION_STATISTICS))]
     areas = grasped.vertex_areas / grasped.vertex_areas.sum()
     centre = areas @ grasped.vertices
@@ -199,7 +193,7 @@ def draw_measured_motion(
 
 
 def draw_motion_measures(statistics: MotionStatistics, rng: np.random.Generator) -> dict[str, float]:
-    """Draw the numbers of one grasp, in SI units: the measures of ``LOGNORMAL_MEASURES``."""
+    """Draw the ``LOGNORMAL_MEASURES`` of one grasp, in SI units."""
     root = np.linalg.cholesky(statistics.log_covariance)
     while np.abs(z := rng.normal(size=len(LOGNORMAL_MEASURES))).max() > MAX_ABS_Z_SCORE:
         pass
@@ -214,17 +208,15 @@ def draw_motion_curves(
     frames: int,
     rng: np.random.Generator,
 ) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"], HingeResidual]:
-    """Draw rotations and positions of the centre [m] about nearly a hinge, with some spectra.
-
-    Also return their residual.
+    """Draw rotations and positions of the centre [m] that nearly follow a hinge; also return their residual.
 
     Args:
-        starts: hinges to begin with; ``stable_grasps.axis`` may find others in what is made of them.
-        drawn: what it is to measure, as ``draw_motion_measures`` gives it: of some random motions, the nearest to that in ``MOTION_SELECTION_MEASURES``.
-        touched: points of the object that are in contact, from its centre [m].
-        statistics: the spectra.
-        frames: length.
-        rng: what chance decides.
+        starts: hinges of the drawn motions; the best hinge of the result may differ.
+        drawn: numbers of ``draw_motion_measures``; the motion nearest in ``MOTION_SELECTION_MEASURES`` is taken.
+        touched: the object's points in contact, relative to its centre [m].
+        statistics: statistics with the spectra of the curves.
+        frames: number of frames.
+        rng: random generator.
     """
     best, least = None, np.inf
     sizes = np.array([drawn[name] for name in MOTION_SIZE_MEASURES])
@@ -243,11 +235,7 @@ def draw_motion_curves(
 
 
 def _motion_about_hinge(
-    start: AxisRotation,
-    sizes: Float[ndarray, "3"],
-    statistics: MotionStatistics,
-    frames: int,
-    rng: np.random.Generator,
+    start: AxisRotation, sizes: Float[ndarray, "3"], statistics: MotionStatistics, frames: int, rng: np.random.Generator
 ) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"]]:
     axes = hinge_axes(start.direction, start.arm)
     angle = _random_curves(statistics.angle, frames, 1, rng)[:, 0]
@@ -272,7 +260,7 @@ def _motion_about_hinge(
 def _equalise_spectrum(
     drawn: Float[ndarray, "T 3"], found: Float[ndarray, "T 3"], wanted: Sequence[float]
 ) -> Float[ndarray, "T 3"]:
-    """Amplify a curve's frequencies where less of them is found than wanted: the best hinge takes some."""
+    """Amplify a curve's frequencies that the residual lacks, since the best hinge absorbs some."""
     from scipy.fft import dct, idct
 
     gain = np.sqrt(np.array(wanted) / np.maximum(spectrum(found), 1e-6)).clip(0.7, 1.4)
@@ -285,7 +273,7 @@ def _equalise_spectrum(
 def _bend_rotation(
     rotation: Float[ndarray, "T 3"], angle: Float[ndarray, "T"], share: float, towards: Float[ndarray, "3"]
 ) -> Float[ndarray, "T 3"]:
-    """Bend a rotation by a share that goes with the square of the angle, if it is above zero: so the axis drifts."""
+    """Bend a rotation, so that the axis drifts: the square of the angle gets a share, if above zero."""
     powers = np.vander(angle - angle.mean(), 3)
     parabola = powers[:, 0] - powers[:, 1:] @ np.linalg.lstsq(powers[:, 1:], powers[:, 0], rcond=None)[0]
     more = np.sqrt(max(0.0, share) * np.sum(rotation**2) / (np.sum(parabola**2) * np.sum(towards**2)))
@@ -295,7 +283,7 @@ def _bend_rotation(
 def _random_curves(
     wanted: Sequence[float], frames: int, count: int, rng: np.random.Generator
 ) -> Float[ndarray, "T count"]:
-    """Random curves of a spectrum (``stable_grasps.axis.spectrum``), its last share spread over all that is faster."""
+    """Random curves of a spectrum (``stable_grasps.axis.spectrum``); its last share is spread over all faster modes."""
     from scipy.fft import idct
 
     last = len(wanted) - 1
@@ -311,7 +299,7 @@ def _random_curves(
 def _close_at_keyframes(
     grasper: Grasper, T_keys: Float[ndarray, "K 4 4"], keys: Float[ndarray, "K"], at: Float[ndarray, "T"]
 ) -> PosedHand:
-    """Close the hand's fingers about the object in some poses, and interpolate them in between."""
+    """Close the fingers about the object in the key poses, and interpolate them in between."""
     closed = grasper.close(T_keys)
     if grasper.thumb_miss(closed, T_keys) > MAX_HOLD_GAP_M:
         grasper = grasper.steered(closed, T_keys)
@@ -321,7 +309,7 @@ def _close_at_keyframes(
 
 
 def _contact_vertices(grasper: Grasper, T_base: Float[ndarray, "4 4"]) -> Float[ndarray, "P 3"]:
-    """Return the vertices of the hand that touch the object in its base pose [m]."""
+    """Vertices of the closed hand in contact with the object in its base pose [m]."""
     closed = grasper.posed(grasper.close(T_base[None]))
     gap = grasper.distance(se3.transform(se3.inverse(T_base), closed.vertices[0]))
     return np.asarray(closed.vertices[0][gap < 0.003])
@@ -334,7 +322,7 @@ def _turning_depth(
     directions: Float[ndarray, "A 3"],
     turn: float,
 ) -> Float[ndarray, "A"]:
-    """How deep the object turns into the open hand about some axes [m]."""
+    """Depth to which the object turns into the open hand, about each axis [m]."""
     ends = np.array([-0.5, 0.5]) * turn
     T = se3.rotation_about_line(points[:, None], directions[:, None], ends) @ T_base
     opened = grasper.opened().vertices
@@ -346,7 +334,7 @@ def _turning_depth(
 def _turning_axis(
     grasper: Grasper, T_base: Float[ndarray, "4 4"], options: SceneOptions, rng: np.random.Generator
 ) -> Axis:
-    """Find a line near the contacts about which the object can turn with the shortest path into the open hand."""
+    """Choose the line near the contacts about which the object turns least deep into the open hand."""
     directions = rng.normal(size=(N_CANDIDATE_AXES, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     points = _contact_vertices(grasper, T_base).mean(axis=0) + rng.normal(0.0, 0.008, (N_CANDIDATE_AXES, 3))
@@ -354,7 +342,7 @@ def _turning_axis(
     curve = (curve - curve.min()) / np.ptp(curve) - 0.5
     least, most = np.radians(options.turn_deg)
     turn = rng.uniform(least, most)
-    while True:  # a smaller turn where every axis leads deep into the hand
+    while True:  # the turn shrinks if it leads deep into the hand about every axis
         depth = _turning_depth(grasper, T_base, points, directions, turn)
         best = int(np.argmin(depth))
         if depth[best] < MAX_TURN_DEPTH_M or turn <= least:

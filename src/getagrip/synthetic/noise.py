@@ -1,16 +1,16 @@
 """Errors of hand trackers and of masks, added to clips with ground truth.
 
-A tracker's hand in frame n is the true one, displaced:
+A tracker's hand in frame n is the true hand, displaced:
 
     T_cam_hand' = shift(d_n r) . T_cam_hand . turn_and_shift(w_n, s_n)
 
 w_n turns the hand about its middle, s_n shifts it in any direction, and d_n shifts it along the camera's ray r through
-its middle: the direction that one image constrains least. The fingers' joints are bent as well. Every error has a
-**bias**, the same in all frames, and **jitter**, an autoregressive process: e_n = a e_(n-1) + sqrt(1 - a^2) white
-noise, with a = exp(-1 / (fps memory)), so that errors of neighbouring frames are alike. Clips may differ in how far
-they are off, and frames in bursts may be **outliers**.
+its middle: the direction that one image determines least. The fingers' joints are bent as well. Every error has a
+**bias**, constant over all frames, and **jitter**, an autoregressive process: e_n = a e_(n-1) + sqrt(1 - a^2) white
+noise, with a = exp(-1 / (fps memory)), so that neighbouring frames have similar errors. The size of errors may vary
+between clips, and bursts of frames may be **outliers**.
 
-The level ``estimated`` has errors as they were measured of hands estimated from images, ``moderate`` and ``strong`` are
+The preset ``estimated`` has the measured errors of hands estimated from images; ``moderate`` and ``strong`` are
 assumptions: see "Noise levels" in docs/datasets.md.
 """
 
@@ -32,27 +32,34 @@ from getagrip.geometry.camera import bounding_boxes
 from getagrip.hands.generic import bend_fingers, finger_weights
 from getagrip.provenance import estimated
 
+ESTIMATED_HANDS_FILE = Path(__file__).with_name("estimated_hands.json")
+"""Measured errors of hands estimated from images, by ``benchmarks/hand_errors.py``, last in commit ea913fa.
+
+``noise``: fields of ``Noise`` whose errors, drawn for clips of the same lengths, have the measured statistics (fingers:
+equally displaced joints). ``measured``: these statistics, as tests measure them, and the joints' error after the best
+similarity; SI units. ``lengths``: 5, 15, ..., 95 % quantiles of the numbers of frames of these grasps."""
+
 
 @dataclass(frozen=True)
 class Noise(NamedFields):
     """The errors of a clip's hands and masks.
 
     Attributes:
-        hand_bias_deg: rotation of the hand about a random axis, the same in all frames [degrees].
-        hand_bias_mm: translation of the hand in a random direction of the hand's frame, the same in all frames [mm].
-        hand_bias_depth_mm: translation of the hand along the camera's ray, towards the camera or away, the same in all
-            frames [mm].
-        finger_bias_deg: root mean square bend of each finger joint, the same in all frames [degrees].
-        hand_jitter_deg: root mean square rotation of the hand that changes from frame to frame [degrees].
-        hand_jitter_mm: root mean square translation that changes from frame to frame [mm].
-        hand_jitter_depth_mm: root mean square translation along the camera's ray that changes from frame to frame [mm].
-        finger_jitter_deg: root mean square bend of each finger joint that changes from frame to frame [degrees].
-        jitter_memory_s: time after which the correlation of the jitter has fallen to 1/e [s]; zero: new in every frame.
-        spread: standard deviation of the logarithm of how many times as far a clip is off as said above, drawn anew for
-            the bias and for the jitter of rotation, translation, depth and fingers.
-        outlier_share: share of frames with outliers.
-        outlier_times: how many times as large as jitter the error is that they have besides, one throughout a run.
-        outlier_s: mean duration of a run of them [s].
+        hand_bias_deg: rotation of the hand about a random axis, constant over all frames [degrees].
+        hand_bias_mm: translation of the hand in a random direction of the hand frame, constant over all frames [mm].
+        hand_bias_depth_mm: translation of the hand along the camera's ray, nearer or farther, constant over all frames
+            [mm].
+        finger_bias_deg: root mean square bend of each finger joint, constant over all frames [degrees].
+        hand_jitter_deg: root mean square rotation of the hand that varies from frame to frame [degrees].
+        hand_jitter_mm: root mean square translation that varies from frame to frame [mm].
+        hand_jitter_depth_mm: root mean square translation along the camera's ray that varies from frame to frame [mm].
+        finger_jitter_deg: root mean square bend of each finger joint that varies from frame to frame [degrees].
+        jitter_memory_s: time after which the correlation of the jitter is 1/e [s]; zero: independent frames.
+        spread: standard deviation of the logarithm of a factor on the errors above, drawn anew per clip, for the bias
+            and for the jitter of rotation, translation, depth and fingers.
+        outlier_share: fraction of outlier frames.
+        outlier_times: additional error of outliers, as a multiple of the jitter; constant over a burst.
+        outlier_s: mean duration of a burst of outliers [s].
         mask_ragged_px: root mean square distance of the masks' boundaries from the true ones [px].
     """
 
@@ -72,49 +79,23 @@ class Noise(NamedFields):
     mask_ragged_px: float = 0.0
 
 
-ESTIMATED_HANDS_FILE = Path(__file__).with_name("estimated_hands.json")
-"""File with the errors of hands estimated from images, by ``benchmarks/hand_errors.py``, last in commit ea913fa.
-
-``noise``: fields of ``Noise``, whose errors, drawn for clips of the same lengths, have these measures (fingers: joints
-as far off). ``measured``: what the tests measure of the estimates, and their joints' error after the best similarity;
-SI units. ``lengths``: frames of these grasps; 5, 15, ..., 95 % are shorter."""
+_MODERATE = {"hand_bias_deg": 3.0, "hand_bias_mm": 3.0, "hand_bias_depth_mm": 8.0, "finger_bias_deg": 8.0}
+_MODERATE |= {"hand_jitter_deg": 1.5, "hand_jitter_mm": 1.5, "hand_jitter_depth_mm": 4.0, "finger_jitter_deg": 4.0}
+_STRONG = {name: (2.0 if name.startswith("finger") else 2.5) * error for name, error in _MODERATE.items()}
 NOISE_PRESETS: dict[str, Noise] = {
     "none": Noise(),
-    "moderate": Noise(
-        hand_bias_deg=3.0,
-        hand_bias_mm=3.0,
-        hand_bias_depth_mm=8.0,
-        finger_bias_deg=8.0,
-        hand_jitter_deg=1.5,
-        hand_jitter_mm=1.5,
-        hand_jitter_depth_mm=4.0,
-        finger_jitter_deg=4.0,
-        jitter_memory_s=0.1,
-        mask_ragged_px=1.0,
-    ),
-    "strong": Noise(
-        hand_bias_deg=7.5,
-        hand_bias_mm=7.5,
-        hand_bias_depth_mm=20.0,
-        finger_bias_deg=16.0,
-        hand_jitter_deg=3.75,
-        hand_jitter_mm=3.75,
-        hand_jitter_depth_mm=10.0,
-        finger_jitter_deg=8.0,
-        jitter_memory_s=0.1,
-        mask_ragged_px=1.0,
-    ),
+    "moderate": Noise(**_MODERATE, jitter_memory_s=0.1, mask_ragged_px=1.0),
+    "strong": Noise(**_STRONG, jitter_memory_s=0.1, mask_ragged_px=1.0),
     "estimated": Noise(**json.loads(ESTIMATED_HANDS_FILE.read_text(encoding="utf-8"))["noise"], mask_ragged_px=1.0),
 }
-"""``estimated`` is measured, but for the masks. The others are assumed: ``strong`` hands are 2.5 times as far off as
-``moderate`` ones (fingers: twice), masks alike."""
+"""Noise by name; the hands of ``estimated`` are measured, all else is assumed."""
 
 
 def perturbed(clip: Clip, masks: Masks, noise: Noise, seed: int | Sequence[int]) -> tuple[Clip, Masks]:
-    """Displace a clip's hand, and move the boundaries of its masks.
+    """Add noise to a clip: displace its hand, and move the boundaries of its masks.
 
-    The ground truth, where the clip has one, keeps the true hand. The same seed draws the same errors, larger or
-    smaller, for every noise. Raises ``InputError`` where fingers are to be bent and the clip has no joints.
+    The ground truth keeps the true hand. Errors of one seed differ between noises by their size only. Raises
+    ``InputError`` where fingers are to be bent and the clip has no joints.
     """
     rng = np.random.default_rng(seed)
     hand = noisy_hand(clip, noise, rng)
@@ -125,7 +106,7 @@ def perturbed(clip: Clip, masks: Masks, noise: Noise, seed: int | Sequence[int])
 
 
 def noisy_hand(clip: Clip, noise: Noise, rng: np.random.Generator) -> HandTrack:
-    """Displace the clip's hands; see ``perturbed``."""
+    """Displace the clip's hand; see ``perturbed``."""
     errors = draw_hand_errors(noise, len(clip), clip.fps, rng)
     middle = clip.hand.vertices.mean(axis=(0, 1))
     R = se3.exp_so3(errors.turn)
@@ -142,7 +123,7 @@ def noisy_hand(clip: Clip, noise: Noise, rng: np.random.Generator) -> HandTrack:
 
 
 def noisy_masks(masks: Masks, noise: Noise, rng: np.random.Generator) -> Masks:
-    """Displace the boundaries of masks; what is ignored stays ignored rather than the object's."""
+    """Displace the boundaries of masks; ignored pixels are removed from the object's mask."""
     if noise.mask_ragged_px == 0.0:
         return masks
     objects, ignored, hands = [], [], []
@@ -150,13 +131,13 @@ def noisy_masks(masks: Masks, noise: Noise, rng: np.random.Generator) -> Masks:
         ignored.append(perturb_mask_boundary(ignore, noise.mask_ragged_px, rng))
         objects.append(perturb_mask_boundary(mask, noise.mask_ragged_px, rng) & ~ignored[-1])
     for hand, ignore, moved in zip(() if masks.hand is None else masks.hand, masks.ignore, ignored, strict=False):
-        alone = np.array_equal(hand, ignore)  # then it is one contour
+        alone = np.array_equal(hand, ignore)  # both are one contour
         hands.append(moved if alone else perturb_mask_boundary(hand, noise.mask_ragged_px, rng))
     return Masks(np.stack(objects), np.stack(ignored), np.stack(hands) if hands else None)
 
 
 def perturb_mask_boundary(mask: Bool[ndarray, "H W"], px: float, rng: np.random.Generator) -> Bool[ndarray, "H W"]:
-    """Move a mask's boundary by a random field of ``px`` root mean square, smooth over about 5 px."""
+    """Move a mask's boundary by a random field, ``px`` root mean square, smooth over about 5 px."""
     import cv2
 
     if not mask.any():
@@ -175,13 +156,13 @@ def perturb_mask_boundary(mask: Bool[ndarray, "H W"], px: float, rng: np.random.
 
 @dataclass(frozen=True)
 class DrawnHandErrors:
-    """Errors as ``noisy_hand`` applies them.
+    """The errors of a clip's hand.
 
     Attributes:
         turn: (T, 3) rotation vector about the hand's middle [rad].
         shift: (T, 3) translation in the hand frame [m].
         deeper: (T, 1) translation along the camera's ray [m].
-        bends: (T, 5, 3) further bend of each finger's joints [rad].
+        bends: (T, 5, 3) additional bend of each finger's joints [rad].
     """
 
     turn: Float[ndarray, "T 3"]
@@ -191,15 +172,15 @@ class DrawnHandErrors:
 
 
 def draw_hand_errors(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> DrawnHandErrors:
-    """Draw the errors of a clip. The same generator draws the same errors, larger or smaller, for every noise."""
-    # Generators of their own: hands err alike whatever their depth, fingers and outliers do.
+    """Draw the errors of a clip; with equal generators, noises differ by the size of errors only."""
+    # Separate generators: the hand's errors do not depend on depth, fingers and outliers.
     depth, fingers, levels, bursts = rng.spawn(4)
     a = float(np.exp(-1.0 / (fps * noise.jitter_memory_s))) if noise.jitter_memory_s > 0.0 else 0.0
     bias, jitter = np.exp(noise.spread * levels.normal(size=(2, 4)))
     first = _draw_outlier_bursts(noise, frames, fps, bursts)
 
     def wander(white: Float[ndarray, "T k"], rms: float, kind: int) -> Float[ndarray, "T k"]:
-        far = bursts.normal(size=white.shape)[first]  # one error throughout a burst
+        far = bursts.normal(size=white.shape)[first]  # one error per burst
         times = np.where(first < 0, 0.0, noise.outlier_times)
         return rms * jitter[kind] * (_autoregressive_noise(white, a) + times[:, None] * far)
 
@@ -215,9 +196,9 @@ def draw_hand_errors(noise: Noise, frames: int, fps: float, rng: np.random.Gener
 
 
 def _draw_outlier_bursts(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Int[ndarray, "T"]:
-    """Draw the first frame of the burst of outliers that each frame is in; -1 of those in none.
+    """Draw the first frame of each frame's burst of outliers; -1 for frames in none.
 
-    Bursts come and go as a chain of two states, with the noise's share of frames and mean duration.
+    Bursts are a Markov chain of two states, with the noise's fraction of frames and mean duration.
     """
     stay = max(0.0, 1.0 - 1.0 / max(1.0, noise.outlier_s * fps))
     enter = (1.0 - stay) * noise.outlier_share / max(1.0 - noise.outlier_share, 1e-9)
@@ -231,7 +212,7 @@ def _draw_outlier_bursts(noise: Noise, frames: int, fps: float, rng: np.random.G
 
 
 def _autoregressive_noise(white: Float[ndarray, "T k"], a: float) -> Float[ndarray, "T k"]:
-    """White noise of unit variance made into a first-order autoregressive process of unit variance."""
+    """Filter white noise to a first-order autoregressive process, both of unit variance."""
     out = white.copy()
     for n in range(1, len(out)):
         out[n] = a * out[n - 1] + np.sqrt(1.0 - a * a) * white[n]

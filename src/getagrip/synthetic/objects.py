@@ -1,15 +1,13 @@
 """Procedural objects of everyday sizes: closed triangle meshes of 500 to 1400 faces, in metres, z up.
 
-Origins are where category CADs have them: vessels at the middle of the base, bottles, cans and glasses at mid-height,
-pans on the handle, flat and thin things in their middle. Handles point along +x.
+Origins are those of category CADs: vessels at the middle of the base, bottles, cans and glasses at mid-height, pans on
+the handle, flat, thin and other objects in their middle. Handles and the front of kitchen machines point along +x.
 
-Smooth deformations of objects: a category's CAD model does not have the shape of the object in the hand.
+Meshes are made of rings. A **loft** is a stack of rings; its last ring may lie inside the first (a vessel goes up
+outside and comes down inside). A **tube** (handle, spout) replaces 2 x 2 quads of the loft, so that the surface remains
+one closed manifold: a mug has genus 1. Machines are assembled from closed parts that overlap. All faces point outward.
 
-Closed triangle meshes made of rings: lofts, tubes that grow out of them, and tori.
-
-A **loft** is a stack of rings; its last ring may lie inside the first (a vessel goes up outside and comes down inside).
-A **tube** (handle, spout) leaves where 2 x 2 quads of the loft are taken out, so that the surface stays one closed
-manifold: a mug has genus 1. All faces point outward, all lengths are metres.
+A ``Deformation`` gives the object in the hand another shape than its category's CAD model.
 """
 
 from __future__ import annotations
@@ -28,78 +26,32 @@ from getagrip.geometry.warp import align_similarity
 
 N_WAVES = 6
 WAVELENGTH_RANGE_DIAMETERS = (0.8, 2.0)
-"""Shortest and longest wave, in diameters of the object: long enough that the surface does not fold."""
-
-
-@dataclass(frozen=True)
-class Deformation:
-    """Points moved by a few sine waves.
-
-    Attributes:
-        waves: (W, 3) wave vectors [rad/m].
-        phase: (W,) phases [rad].
-        amplitude: (W, 3) displacements [m].
-    """
-
-    waves: Float[ndarray, "W 3"]
-    phase: Float[ndarray, "W"]
-    amplitude: Float[ndarray, "W 3"]
-
-    def __call__(self, X: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
-        """Return the deformed points [m]."""
-        return X + np.sin(X @ self.waves.T + self.phase) @ self.amplitude
-
-
-def draw_deformation(mesh: Mesh, share: float, rng: np.random.Generator) -> Deformation:
-    """Draw a random deformation that leaves the mesh off by ``share`` of its diameter (root mean square).
-
-    Counted is what no similarity undoes.
-    """
-    waves = rng.normal(size=(N_WAVES, 3))
-    waves *= (
-        2.0
-        * np.pi
-        / (
-            mesh.diameter
-            * rng.uniform(*WAVELENGTH_RANGE_DIAMETERS, (N_WAVES, 1))
-            * np.linalg.norm(waves, axis=1)[:, None]
-        )
-    )
-    unit = Deformation(
-        waves, rng.uniform(0.0, 2.0 * np.pi, N_WAVES), 1e-3 * mesh.diameter * rng.normal(size=(N_WAVES, 3))
-    )
-    deformed = Mesh(unit(mesh.vertices), mesh.faces)
-    return replace(unit, amplitude=unit.amplitude * share * mesh.diameter / misfit(mesh, deformed))
-
-
-def misfit(cad: Mesh, grasped: Mesh) -> float:
-    """Compute the root mean square distance of corresponding points of the surfaces after the best similarity [m]."""
-    T, size = align_similarity(cad, grasped, resize=True)
-    off = np.sum((se3.transform(T, size * cad.vertices) - grasped.vertices) ** 2, axis=1)
-    return float(np.sqrt(grasped.vertex_areas @ off / grasped.vertex_areas.sum()))
-
-
+"""Minimum and maximum wavelength [diameters]: long enough that the surface does not fold."""
 _N_SECTION_POINTS = 8
-"""Points of a tube's section: the corners and edge middles of the 2 x 2 quads that it replaces."""
+"""Number of points of a tube's section: corners and edge middles of the 2 x 2 quads that it replaces."""
+_Y = np.array([0.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True)
 class Tube:
-    """A bent bar with elliptical sections that starts, and perhaps ends, on a loft."""
+    """A bent bar with elliptical sections that starts, and perhaps ends, on a loft.
+
+    Attributes:
+        path: centre line [m]; its first point (and its last, unless ``capped``) selects the nearest vertex of the loft.
+        side: unit direction of the sections' width, normal to the path.
+        width: half widths along ``side`` [m].
+        height: half heights across ``side`` [m].
+        capped: True if the tube does not end on the loft.
+    """
 
     path: Float[ndarray, "P 3"]
-    """Centre line [m]; its first point (and its last, unless ``capped``) picks the nearest vertex of the loft."""
     side: Float[ndarray, "3"]
-    """Unit direction of the sections' width, normal to the path."""
     width: Float[ndarray, "P"]
-    """Half widths, along ``side`` [m]."""
     height: Float[ndarray, "P"]
-    """Half heights, across ``side`` [m]."""
     capped: bool = False
-    """True if the tube ends in the air."""
 
     def sections(self, n: int = _N_SECTION_POINTS) -> Float[ndarray, "P n 3"]:
-        """Return one ring per point of the path, counter-clockwise about the direction of travel."""
+        """Return one ring per point of the path, counter-clockwise about the path's direction."""
         tangent = np.gradient(self.path, axis=0)
         across = np.cross(tangent, self.side)
         across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -109,7 +61,7 @@ class Tube:
 
 
 def loft(rings: Float[ndarray, "R N 3"], tubes: Sequence[Tube] = ()) -> Mesh:
-    """Build a closed mesh from rings, each counter-clockwise about the direction to the next, with tubes on it.
+    """Build a closed mesh with tubes from rings, each counter-clockwise about the direction to the next.
 
     The first and the last ring are capped by a fan about their mean.
     """
@@ -120,9 +72,7 @@ def loft(rings: Float[ndarray, "R N 3"], tubes: Sequence[Tube] = ()) -> Mesh:
     faces = [_fan_triangles(R * N, grid[0][::-1]), _fan_triangles(R * N + 1, grid[-1])]
     for tube in tubes:
         offset = sum(len(part) for part in parts)
-        ends = [_cut_hole(rings, taken, tube.path[0])] + (
-            [] if tube.capped else [_cut_hole(rings, taken, tube.path[-1])]
-        )
+        ends = [_cut_hole(rings, taken, tube.path[end]) for end in ((0,) if tube.capped else (0, -1))]
         inner = tube.sections()[1 : len(tube.path) if tube.capped else -1]
         start = _align_loop(rings.reshape(-1, 3), ends[0], inner[0])
         parts.append(inner.reshape(-1, 3))
@@ -130,7 +80,7 @@ def loft(rings: Float[ndarray, "R N 3"], tubes: Sequence[Tube] = ()) -> Mesh:
         if tube.capped:
             parts.append(inner[-1].mean(axis=0)[None])
             faces.append(_fan_triangles(offset + inner.size // 3, ids[-1]))
-        else:  # seen along the tube, the hole where it ends runs the other way round
+        else:  # seen along the tube, the hole at its end has the opposite orientation
             ids = np.concatenate([ids, _align_loop(rings.reshape(-1, 3), ends[1][::-1], inner[-1])[None]])
         faces.append(walls(ids, np.zeros(ids.shape, dtype=bool)))
     faces.append(walls(grid, taken))
@@ -140,7 +90,7 @@ def loft(rings: Float[ndarray, "R N 3"], tubes: Sequence[Tube] = ()) -> Mesh:
 
 
 def torus(path: Float[ndarray, "P 3"], side: Float[ndarray, "3"], radius: float) -> Mesh:
-    """Make a closed ring of round section about a closed path (counter-clockwise about ``side``)."""
+    """Make a closed ring of round section around a closed path that is counter-clockwise about ``side``."""
     tangent = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0)
     across = np.cross(tangent, side)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -152,14 +102,14 @@ def torus(path: Float[ndarray, "P 3"], side: Float[ndarray, "3"], radius: float)
 
 
 def merge_closed_meshes(meshes: Sequence[Mesh]) -> Mesh:
-    """Join several closed parts to one mesh; they may overlap."""
+    """Join closed parts, which may overlap, to one mesh."""
     offsets = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     faces = [m.faces + offset for m, offset in zip(meshes, offsets[:-1], strict=True)]
     return Mesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces))
 
 
 def walls(ids: Int[ndarray, "R N"], taken: Bool[ndarray, "R N"] | None = None) -> Int[ndarray, "F 3"]:
-    """Make two triangles per quad between successive rings of vertex ids, but for the quads taken out."""
+    """Make two triangles per quad between consecutive rings of vertex indices, except for the quads ``taken`` out."""
     taken = np.zeros(ids.shape, dtype=bool) if taken is None else taken
     a, b = ids[:-1], np.roll(ids, -1, axis=1)[:-1]
     c, d = np.roll(ids, -1, axis=1)[1:], ids[1:]
@@ -174,7 +124,7 @@ def _fan_triangles(pole: int, ring: Int[ndarray, "N"]) -> Int[ndarray, "N 3"]:
 
 
 def _cut_hole(rings: Float[ndarray, "R N 3"], taken: ndarray, at: Float[ndarray, "3"]) -> Int[ndarray, "8"]:
-    """Take the four quads around the vertex nearest to ``at`` out; their boundary, counter-clockwise from outside."""
+    """Take out the four quads around the vertex nearest to ``at``; return their boundary, seen from outside ccw."""
     N = rings.shape[1]
     i, j = divmod(int(np.argmin(np.linalg.norm(rings[1:-1] - at, axis=-1))), N)
     i += 1
@@ -193,14 +143,16 @@ def _align_loop(
     return min(rolls, key=lambda ids: float(np.linalg.norm(vertices[ids] - ring, axis=1).sum()))
 
 
-def parse_profile(corners: str, across: float, along: float) -> list[tuple[float, float]]:
-    """Parse corners "a b, a b, ..." in units of two sizes of the object, in metres."""
+def parse_profile(
+    corners: str, across: float, along: float, right: float = 0.0, up: float = 0.0
+) -> list[tuple[float, float]]:
+    """Parse corners "a b, a b, ...", in units of two sizes of the object, to metres, and add ``right`` and ``up``."""
     pairs = [pair.split() for pair in corners.split(",")]
-    return [(float(a) * across, float(b) * along) for a, b in pairs]
+    return [(float(a) * across + right, float(b) * along + up) for a, b in pairs]
 
 
 def _resample_polyline(corners: Sequence[tuple[float, float]], spacing: float) -> Float[ndarray, "P 2"]:
-    """Divide long pieces of a polyline evenly, at most ``spacing`` apart, and keep its corners."""
+    """Divide the edges of a polyline evenly into pieces of at most ``spacing``."""
     p = np.asarray(corners, dtype=float)
     pieces = []
     for a, b in pairwise(p):
@@ -212,9 +164,9 @@ def _resample_polyline(corners: Sequence[tuple[float, float]], spacing: float) -
 def revolve_profile(
     corners: Sequence[tuple[float, float]], columns: int, spacing: float, focus: float = 0.0
 ) -> Float[ndarray, "R N 3"]:
-    """Make the rings of a surface of revolution about z, from a profile of (radius, height) corners.
+    """Make the rings of a surface of revolution about z from a profile of (radius, height) corners.
 
-    ``focus`` in [0, 1) crowds the columns towards +x, where a handle is to leave.
+    ``focus`` in [0, 1) crowds the columns towards +x, the side of a handle.
     """
     profile = _resample_polyline(corners, spacing)
     s = np.arange(columns) * 2.0 * np.pi / columns
@@ -239,7 +191,7 @@ def slab(size: tuple[float, float, float], power: float, bevel: float, columns: 
 
 
 def arc(points: Sequence[tuple[float, float]], n: int) -> Float[ndarray, "n 3"]:
-    """Sample a smooth curve in the plane y = 0 through (x, z) points (a Catmull-Rom spline) at n parameters."""
+    """Sample a Catmull-Rom spline through (x, z) points in the plane y = 0, at n parameters."""
     p = np.asarray(points, dtype=float)
     knots = np.concatenate([[0.0], np.cumsum(np.sqrt(np.linalg.norm(np.diff(p, axis=0), axis=1)))])
     slope = np.gradient(p, knots, axis=0)
@@ -253,9 +205,6 @@ def arc(points: Sequence[tuple[float, float]], n: int) -> Float[ndarray, "n 3"]:
     return np.stack([xz[:, 0], np.zeros(n), xz[:, 1]], axis=-1)
 
 
-_Y = np.array([0.0, 1.0, 0.0])
-
-
 def handle(points: Sequence[tuple[float, float]], n: int, width: float, height: float, capped: bool = False) -> Tube:
     return Tube(arc(points, n), _Y, np.full(n, width), np.full(n, height), capped)
 
@@ -263,7 +212,7 @@ def handle(points: Sequence[tuple[float, float]], n: int, width: float, height: 
 def _vessel_profile(
     base: float, rim: float, height: float, wall: float, belly: float = 0.0
 ) -> list[tuple[float, float]]:
-    """Profile of an open vessel, outside then inside; ``belly`` widens it at mid-height [m]."""
+    """Profile of an open vessel, outside, then inside; ``belly`` widens it at mid-height [m]."""
     lift = np.linspace(0.0, 1.0, 6)
     r = base + (rim - base) * lift + belly * np.sin(np.pi * lift)
     out = [(0.35 * base, 0.0), (0.9 * base, 0.0), (base, 0.04 * height)]
@@ -274,18 +223,17 @@ def _vessel_profile(
 
 def bottle(radius: float = 0.036, height: float = 0.22, neck: float = 0.013) -> Mesh:
     """Make a closed bottle with shoulders, a neck and a cap."""
-    body = parse_profile("0.5 0, 0.92 0, 1 0.02, 1 0.56, 0.96 0.62, 0.8 0.7, 0.63 0.77", radius, height)
-    top = parse_profile("1 0.83, 0.95 0.89, 1.15 0.895, 1.15 0.99, 0.5 1", neck, height)
-    return loft(revolve_profile([(r, z - height / 2) for r, z in body + top], 24, 0.013))
+    body = parse_profile("0.5 0, 0.92 0, 1 0.02, 1 0.56, 0.96 0.62, 0.8 0.7, 0.63 0.77", radius, height, up=-height / 2)
+    top = parse_profile("1 0.83, 0.95 0.89, 1.15 0.895, 1.15 0.99, 0.5 1", neck, height, up=-height / 2)
+    return loft(revolve_profile(body + top, 24, 0.013))
 
 
 def ketchup(radius: float = 0.038, height: float = 0.19, flatness: float = 0.62) -> Mesh:
     """Make a flat squeeze bottle that stands on its wide cap."""
     cap = "0.3 0, 0.62 0, 0.66 0.02, 0.6 0.17, 0.66 0.19"
     body = "0.85 0.27, 0.92 0.36, 0.86 0.52, 0.95 0.68, 1 0.84, 0.92 0.95, 0.6 1, 0.25 1"
-    profile = parse_profile(f"{cap}, {body}", radius, height)
-    rings = revolve_profile([(r, z - height / 2) for r, z in profile], 24, 0.014)
-    upper = np.clip((rings[..., 2] / height + 0.5 - 0.15) / 0.2, 0.0, 1.0)  # the cap is round
+    rings = revolve_profile(parse_profile(f"{cap}, {body}", radius, height, up=-height / 2), 24, 0.014)
+    upper = np.clip((rings[..., 2] / height + 0.5 - 0.15) / 0.2, 0.0, 1.0)  # 0 at the round cap
     rings[..., 1] *= 1.0 - (1.0 - flatness) * upper
     return loft(rings)
 
@@ -299,10 +247,8 @@ def can(radius: float = 0.034, height: float = 0.11) -> Mesh:
 
 def jar(radius: float = 0.037, height: float = 0.105) -> Mesh:
     """Make a closed jar: a straight body, and a lid of nearly its width."""
-    corners = parse_profile(
-        "0.5 0, 0.92 0, 1 0.03, 1 0.7, 0.94 0.76, 0.87 0.78, 0.9 0.8, 0.9 0.98, 0.5 1", radius, height
-    )
-    return loft(revolve_profile([(r, z - height / 2) for r, z in corners], 26, 0.011))
+    corners = "0.5 0, 0.92 0, 1 0.03, 1 0.7, 0.94 0.76, 0.87 0.78, 0.9 0.8, 0.9 0.98, 0.5 1"
+    return loft(revolve_profile(parse_profile(corners, radius, height, up=-height / 2), 26, 0.011))
 
 
 def ball(radius: float = 0.035) -> Mesh:
@@ -325,24 +271,20 @@ def bowl(rim: float = 0.078, height: float = 0.07, wall: float = 0.004) -> Mesh:
 def plate(radius: float = 0.11, height: float = 0.02, wall: float = 0.004) -> Mesh:
     """Make a dinner plate with a raised rim."""
     under = parse_profile("0.25 0, 0.6 0, 0.72 0.35, 0.86 0.75, 0.985 0.95, 1 1", radius, height - wall)
-    over = [
-        (r, z + wall) for r, z in parse_profile("0.985 1, 0.85 0.75, 0.7 0.35, 0.58 0, 0.25 0", radius, height - wall)
-    ]
+    over = parse_profile("0.985 1, 0.85 0.75, 0.7 0.35, 0.58 0, 0.25 0", radius, height - wall, up=wall)
     return loft(revolve_profile(under + over, 30, 0.028))
 
 
 def mug(radius: float = 0.041, height: float = 0.095, wall: float = 0.004, reach: float = 0.036) -> Mesh:
     """Make a straight mug with a D-shaped handle."""
-    path = [(radius + a, z) for a, z in parse_profile("0 0.8, 0.75 0.82, 1 0.52, 0.65 0.24, 0 0.26", reach, height)]
+    path = parse_profile("0 0.8, 0.75 0.82, 1 0.52, 0.65 0.24, 0 0.26", reach, height, right=radius)
     rings = revolve_profile(_vessel_profile(0.95 * radius, radius, height, wall), 24, 0.016, focus=0.25)
     return loft(rings, [handle(path, 11, 0.0065, 0.0045)])
 
 
 def pitcher(radius: float = 0.06, height: float = 0.19, wall: float = 0.004, reach: float = 0.05) -> Mesh:
     """Make a water jug with a long handle and, opposite, a spout."""
-    path = [
-        (radius + a, z) for a, z in parse_profile("-0.02 0.87, 0.8 0.86, 1 0.55, 0.7 0.22, -0.1 0.2", reach, height)
-    ]
+    path = parse_profile("-0.02 0.87, 0.8 0.86, 1 0.55, 0.7 0.22, -0.1 0.2", reach, height, right=radius)
     rings = revolve_profile(_vessel_profile(0.85 * radius, radius, height, wall), 22, 0.028, focus=0.25)
     top = np.clip(4.0 * rings[..., 2] / height - 3.0, 0.0, 1.0)
     rings[..., 0] -= 0.3 * radius * top * np.clip(-rings[..., 0] / radius, 0.0, 1.0) ** 4
@@ -351,10 +293,9 @@ def pitcher(radius: float = 0.06, height: float = 0.19, wall: float = 0.004, rea
 
 def cup(radius: float = 0.044, height: float = 0.066, wall: float = 0.003, reach: float = 0.026) -> Mesh:
     """Make a round-bellied tea cup with a small ear."""
-    path = [(radius + a, z) for a, z in parse_profile("-0.07 0.76, 0.85 0.78, 0.9 0.48, -0.17 0.36", reach, height)]
-    rings = revolve_profile(
-        _vessel_profile(0.58 * radius, radius, height, wall, belly=0.13 * radius), 24, 0.013, focus=0.3
-    )
+    path = parse_profile("-0.07 0.76, 0.85 0.78, 0.9 0.48, -0.17 0.36", reach, height, right=radius)
+    profile = _vessel_profile(0.58 * radius, radius, height, wall, belly=0.13 * radius)
+    rings = revolve_profile(profile, 24, 0.013, focus=0.3)
     return loft(rings, [handle(path, 9, 0.004, 0.0032)])
 
 
@@ -363,7 +304,7 @@ def vessel_with_handle(
 ) -> Mesh:
     """Make a vessel with one straight handle of length ``bar`` along +x; the origin lies on the handle."""
     n, at = 10, 0.62 * height
-    points = [(rim + a, at + z) for a, z in parse_profile("0 0, 0.25 0.45, 0.6 0.9, 1 1", bar, rise)]
+    points = parse_profile("0 0, 0.25 0.45, 0.6 0.9, 1 1", bar, rise, rim, at)
     width = np.interp(np.linspace(0, 1, n), [0, 0.2, 0.45, 0.85, 1], [0.010, 0.009, 0.0125, 0.0125, 0.007])
     tube = Tube(arc(points, n), _Y, width, 0.62 * width, capped=True)
     mesh = loft(revolve_profile(profile, 30, 0.022, focus=0.55), [tube])
@@ -386,9 +327,7 @@ def kettle(radius: float = 0.075, height: float = 0.15, reach: float = 0.052) ->
     body = "0.35 0, 0.7 0, 0.93 0, 1 0.06, 0.99 0.25, 0.9 0.5, 0.76 0.72, 0.62 0.86"
     lid = "0.6 0.88, 0.3 0.93, 0.12 0.935, 0.16 0.98, 0.09 1"
     rings = revolve_profile(parse_profile(f"{body}, {lid}", radius, height), 28, 0.021)
-    bow = [
-        (radius + a, z) for a, z in parse_profile("-0.34 0.74, 0.75 0.8, 1 0.55, 0.6 0.24, -0.01 0.2", reach, height)
-    ]
+    bow = parse_profile("-0.34 0.74, 0.75 0.8, 1 0.55, 0.6 0.24, -0.01 0.2", reach, height, right=radius)
     spout = arc(parse_profile("-0.93 0.4, -1.25 0.55, -1.42 0.8, -1.62 0.9", radius, height), 7)
     thick = np.linspace(0.014, 0.007, 7)
     return loft(rings, [handle(bow, 12, 0.010, 0.0065), Tube(spout, _Y, thick, thick, capped=True)])
@@ -471,5 +410,114 @@ def banana(length: float = 0.18, thickness: float = 0.034) -> Mesh:
 def umbrella(radius: float = 0.031, length: float = 0.27) -> Mesh:
     """Make a folded umbrella, its handle up."""
     cloth = "0.3 0, 0.65 0, 0.84 0.06, 0.94 0.2, 0.87 0.5, 0.9 0.69, 1 0.82"
-    corners = parse_profile(f"{cloth}, 0.62 0.835, 0.62 0.98, 0.55 1, 0.2 1", radius, length)
-    return loft(revolve_profile([(r, z - length / 2) for r, z in corners], 24, 0.016))
+    corners = parse_profile(f"{cloth}, 0.62 0.835, 0.62 0.98, 0.55 1, 0.2 1", radius, length, up=-length / 2)
+    return loft(revolve_profile(corners, 24, 0.016))
+
+
+def _rounded_block(
+    low: tuple[float, float, float], high: tuple[float, float, float], power: float = 7.0, layers: int = 2
+) -> Mesh:
+    size = np.subtract(high, low)
+    part = slab((float(size[0]), float(size[1]), float(size[2])), power, 0.004, 18, layers)
+    return Mesh(part.vertices + (np.array(low) + high) / 2.0, part.faces)
+
+
+def _bent_bar(points: Sequence[tuple[float, float]], n: int, width: float, height: float) -> Mesh:
+    """Make a bent bar of elliptical section through (x, z) points, closed at both ends."""
+    return loft(handle(points, n, width, height).sections(12))
+
+
+def notebook(size: tuple[float, float, float] = (0.15, 0.21, 0.014)) -> Mesh:
+    """Make a closed notebook."""
+    return slab(size, 24.0, 0.001, 48, 2)
+
+
+def waffle_iron(radius: float = 0.095, height: float = 0.08, bar: float = 0.12) -> Mesh:
+    """Make a round, closed waffle iron with a straight handle; the origin lies on the handle."""
+    low = parse_profile("0.35 0, 0.7 0, 0.93 0.02, 1 0.14, 1 0.3, 1 0.44, 0.97 0.48", radius, height)
+    return vessel_with_handle([*low, *((r, height - z) for r, z in low[::-1])], radius, height, bar, 0.006)
+
+
+def mixer(length: float = 0.19, width: float = 0.075, height: float = 0.075) -> Mesh:
+    """Make a hand mixer: a body along x, a handle above it, two beaters below its front."""
+    s = np.linspace(0.0, 1.0, 12)
+    full = np.interp(s, [0.0, 0.05, 0.2, 0.8, 0.95, 1.0], [0.35, 0.75, 1.0, 1.0, 0.7, 0.3]) / 2.0
+    phi = np.arange(24) * np.pi / 12.0
+    section = np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+    section = np.sign(section) * np.abs(section) ** 0.75
+    x = np.broadcast_to((length * (s - 0.5))[:, None], (12, 24))
+    rings = np.stack([x, *np.moveaxis(full[:, None, None] * section * [width, height], -1, 0)], axis=-1)
+    bow = [(-0.36 * length, 0.46 * height), (-0.40 * length, 0.86 * height), (0.0, 1.12 * height)]
+    bow += [(0.34 * length, 0.98 * height), (0.36 * length, 0.46 * height)]
+    profile = parse_profile("0.12 0, 0.6 0.06, 1 0.25, 0.75 0.42, 0.2 0.5, 0.18 0.8, 0.18 1, 0.05 1", 0.019, 0.13)
+    beater = loft(revolve_profile(profile, 10, 0.02))
+    places = np.array([0.22 * length, 0.021, -0.13 - 0.3 * height]) * [[1.0, -1.0, 1.0], [1.0, 1.0, 1.0]]
+    beaters = (Mesh(beater.vertices + at, beater.faces) for at in places)
+    return merge_closed_meshes([loft(rings, [handle(bow, 12, 0.014, 0.011)]), *beaters])
+
+
+def espresso_machine(width: float = 0.105, height: float = 0.22) -> Mesh:
+    """Make a small espresso machine: base, column and head, the filter's handle in front."""
+    y, z = width / 2.0, height / 2.0
+    base = _rounded_block((-0.085, -y, -z), (0.085, y, -z + 0.035))
+    column = _rounded_block((-0.085, -0.8 * y, -z + 0.02), (-0.025, 0.8 * y, z - 0.03), layers=5)
+    head = _rounded_block((-0.09, -y, z - 0.075), (0.07, y, z))
+    bar = [(0.03, z - 0.085), (0.08, z - 0.088), (0.13, z - 0.095), (0.18, z - 0.10)]
+    return merge_closed_meshes([base, column, head, _bent_bar(bar, 9, 0.014, 0.013)])
+
+
+def capsule_machine(width: float = 0.085, height: float = 0.20) -> Mesh:
+    """Make a narrow capsule machine: tray, column and rounded head, a lever above."""
+    y, z = width / 2.0, height / 2.0
+    tray = _rounded_block((-0.06, -y, -z), (0.11, y, -z + 0.025))
+    column = _rounded_block((-0.07, -0.85 * y, -z + 0.01), (0.01, 0.85 * y, z - 0.03), 5.0, 5)
+    head = _rounded_block((-0.075, -0.8 * y, z - 0.07), (0.10, 0.8 * y, z), 4.0)
+    lever = [(-0.05, z - 0.01), (-0.045, z + 0.018), (0.0, z + 0.024), (0.05, z + 0.018), (0.085, z + 0.012)]
+    return merge_closed_meshes([tray, column, head, _bent_bar(lever, 10, 0.012, 0.005)])
+
+
+def microwave(size: tuple[float, float, float] = (0.17, 0.26, 0.15)) -> Mesh:
+    """Make a small microwave oven with a bow handle at the edge of its door."""
+    depth, width, height = size
+    x, z = depth / 2.0, height / 2.0
+    body = slab(size, 12.0, 0.005, 40, 5)
+    bow = [(x - 0.01, 0.8 * z), (x + 0.052, 0.76 * z), (x + 0.066, 0.0), (x + 0.052, -0.76 * z), (x - 0.01, -0.8 * z)]
+    grip = _bent_bar(bow, 16, 0.010, 0.009)
+    return merge_closed_meshes([body, Mesh(grip.vertices + np.array([0.0, 0.3 * width, 0.0]), grip.faces)])
+
+
+@dataclass(frozen=True)
+class Deformation:
+    """A displacement of points by a few sine waves.
+
+    Attributes:
+        waves: (W, 3) wave vectors [rad/m].
+        phase: (W,) phases [rad].
+        amplitude: (W, 3) displacements [m].
+    """
+
+    waves: Float[ndarray, "W 3"]
+    phase: Float[ndarray, "W"]
+    amplitude: Float[ndarray, "W 3"]
+
+    def __call__(self, X: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
+        """Return the deformed points [m]."""
+        return X + np.sin(X @ self.waves.T + self.phase) @ self.amplitude
+
+
+def draw_deformation(mesh: Mesh, share: float, rng: np.random.Generator) -> Deformation:
+    """Draw a random deformation by ``share`` of the mesh's diameter: root mean square after the best similarity."""
+    waves = rng.normal(size=(N_WAVES, 3))
+    wavelength = mesh.diameter * rng.uniform(*WAVELENGTH_RANGE_DIAMETERS, (N_WAVES, 1))
+    waves *= 2.0 * np.pi / (wavelength * np.linalg.norm(waves, axis=1)[:, None])
+    phase = rng.uniform(0.0, 2.0 * np.pi, N_WAVES)
+    unit = Deformation(waves, phase, 1e-3 * mesh.diameter * rng.normal(size=(N_WAVES, 3)))
+    deformed = Mesh(unit(mesh.vertices), mesh.faces)
+    return replace(unit, amplitude=unit.amplitude * share * mesh.diameter / misfit(mesh, deformed))
+
+
+def misfit(cad: Mesh, grasped: Mesh) -> float:
+    """Compute the root mean square distance of corresponding surface points after the best similarity [m]."""
+    T, size = align_similarity(cad, grasped, resize=True)
+    off = np.sum((se3.transform(T, size * cad.vertices) - grasped.vertices) ** 2, axis=1)
+    return float(np.sqrt(grasped.vertex_areas @ off / grasped.vertex_areas.sum()))

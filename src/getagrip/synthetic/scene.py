@@ -1,10 +1,9 @@
-"""Synthetic clips with ground truth: a generic hand holds a procedural object in front of a moving, egocentric camera.
+"""Synthetic clips with ground truth: a generic hand holds a procedural object before a moving, head-worn camera.
 
-The grasp comes from contact (``grasp``); the object moves in the hand, almost about one axis or as was measured of real
-grasps, and the fingers follow it (``in_hand``); hand and head move smoothly.
-Everything is drawn for a right hand; the left hand's clip is its exact mirror image. The ground truth depends on the
-seed, the category and the options of the scene. Noise has its own random stream, so the same ground truth can be had
-with and without it (noise is not mirrored).
+The grasp comes from contact (``grasp``). The object moves in the hand nearly about one axis, or as in real grasps, and
+the fingers follow (``in_hand_motion``); hand and head move smoothly. All is drawn for a right hand; a left hand's clip
+is the exact mirror image. The ground truth depends on seed, category and the scene's options. Noise has a random stream
+of its own, so that clips with and without it share their ground truth (noise is not mirrored).
 """
 
 from __future__ import annotations
@@ -27,29 +26,33 @@ from getagrip.hands import generic
 from getagrip.hands.grips import CATEGORY_PRIORS, Grip
 from getagrip.hands.model import hand_track, mirrored
 from getagrip.result import Axis
-from getagrip.synthetic import in_hand_motion
 from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
 from getagrip.synthetic.grasp import Grasper, SignedDistance, looseness, perturb_grip
-from getagrip.synthetic.in_hand_motion import draw_egocentric_poses, draw_other_hand
+from getagrip.synthetic.in_hand_motion import (
+    draw_egocentric_poses,
+    draw_hinge_motion,
+    draw_measured_motion,
+    draw_other_hand,
+)
 from getagrip.synthetic.noise import perturbed
 from getagrip.synthetic.objects import draw_deformation
 from getagrip.synthetic.scene_options import SceneOptions
 
 Shape = Callable[[Float[ndarray, "n 3"]], Float[ndarray, "n 3"]]
 N_GRIP_DRAWS = 3
-"""Grips to choose from, where they vary."""
+"""Number of grips that are drawn for a choice, where grips vary."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A clip without noise, and what a clip does not hold.
+    """A clip without noise, with the parts of the scene that a clip does not hold.
 
     Attributes:
         clip: the clip, with ground truth and without noise.
-        object: the object that the images show, at its true size, in the frame of ``truth.T_cam_obj`` [m].
-        axis: the axis that the object turns about, in the hand frame.
-        other_hand: (T, V, 3) vertices of the other hand in the camera frame [m]; None where it is not in the images.
-        options: what the scene was made with.
+        object: the visible object, at its true size, in the frame of ``truth.T_cam_obj`` [m].
+        axis: the axis about which the object turns, in the hand frame.
+        other_hand: (T, V, 3) vertices of the other hand in the camera frame [m]; None without another hand.
+        options: options of the scene.
     """
 
     clip: Clip
@@ -77,7 +80,7 @@ def synthesise(category: str, seed: int = 0, options: SceneOptions | None = None
     The clip contains the noisy hand, the mesh and, in ``clip.clip``, the ground truth.
 
     Args:
-        category: kind of object, such as "mug": a key of ``getagrip.synthetic.categories.CATEGORIES``.
+        category: kind of object, such as "mug": a key of ``getagrip.synthetic.categories.SYNTHETIC_CATEGORIES``.
         seed: seed of the random choices, 0 or more. The same seed and options give the same clip.
         options: length, camera, motion and noise of the clip; by default 30 frames of 640 x 480 pixels without noise.
 
@@ -89,12 +92,11 @@ def synthesise(category: str, seed: int = 0, options: SceneOptions | None = None
 
 
 def noise_seed(category: str, seed: int) -> list[int]:
-    """Return the seed of a clip's noise."""
     return [seed, *category.encode(), 1]
 
 
 def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
-    """Make the scene, without noise. Raises ``UsageError`` as ``synthesise`` does."""
+    """Make the scene of a clip, without noise. Raises ``UsageError`` as ``synthesise`` does."""
     if category not in SYNTHETIC_CATEGORIES:
         raise UsageError(f"unknown category {category!r}; choose from {', '.join(sorted(SYNTHETIC_CATEGORIES))}")
     if seed < 0:
@@ -116,18 +118,15 @@ def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
 
     T_base = grasper.approach(grip)
     if options.motion == "measured":
-        moved = in_hand_motion.draw_measured_motion(
-            grasper, T_base, grasped, options.frames, _independent_rng(category, seed, 3)
-        )
+        own = _independent_rng(category, seed, 3)
+        moved = draw_measured_motion(grasper, T_base, grasped, options.frames, own)
     else:
-        moved = in_hand_motion.draw_hinge_motion(grasper, T_base, options, rng)
+        moved = draw_hinge_motion(grasper, T_base, options, rng)
     T_hand_grasped, posed = moved.T_hand_obj, moved.posed
-    middle = (
-        posed.joints[:, 9].mean(axis=0) + se3.transform(T_hand_grasped, grasped.centre[None]).mean(axis=0)[0]
-    ) / 2.0
-    T_world_cam, T_world_hand = draw_egocentric_poses(
-        T_hand_grasped[0], middle, grasped.diameter, options.frames, moves
-    )
+    centre = se3.transform(T_hand_grasped, grasped.centre[None]).mean(axis=0)[0]
+    middle = (posed.joints[:, 9].mean(axis=0) + centre) / 2.0
+    pose, diameter = T_hand_grasped[0], grasped.diameter
+    T_world_cam, T_world_hand = draw_egocentric_poses(pose, middle, diameter, options.frames, moves)
     T_cam_hand = se3.inverse(T_world_cam) @ T_world_hand
     unknown = 1.0 if options.scale == "known" else float(rng.uniform(0.8, 1.25))
     T_grasped_cad, size = np.eye(4), 1.0
@@ -160,14 +159,14 @@ def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
 
 
 def _independent_rng(category: str, seed: int, number: int) -> np.random.Generator:
-    """Return a random stream of a clip beside those that all clips draw from, which it leaves as they are."""
+    """Random stream of a clip that leaves the streams shared by all clips unchanged."""
     return np.random.default_rng([seed, *category.encode(), number])
 
 
 def _object_shape_map(
     mean: Mesh, stretch: Float[ndarray, "3"], category: str, seed: int, options: SceneOptions
 ) -> Shape:
-    """Return a map from points of the category's mean shape to the object."""
+    """Map from points of the category's mean shape to points of the object."""
     stretched = Mesh(mean.vertices * stretch, mean.faces)
     if options.deform == 0.0:
         return lambda X: X * stretch
@@ -176,7 +175,7 @@ def _object_shape_map(
 
 
 def _draw_grip(category: str, seed: int, shaped: Shape, options: SceneOptions, grasper: Grasper) -> Grip:
-    """Any grip of the category, at random off the usual: of a few draws the one that holds the object best."""
+    """Draw a grip of the category: of a few random deviations from a usual grip, the one that holds best."""
     kind = CATEGORY_PRIORS[category]
     rng = _independent_rng(category, seed, 2)
     grips = (*kind.grips, *kind.rarer)
@@ -192,7 +191,6 @@ def _draw_grip(category: str, seed: int, shaped: Shape, options: SceneOptions, g
 
 
 def clip_name(category: str, seed: int, options: SceneOptions) -> str:
-    """Return the clip's name."""
     return f"{category}-{options.side}-{seed:04d}"
 
 
@@ -219,7 +217,7 @@ def _mirror_scene(scene: Scene) -> Scene:
         truth=Truth(flip @ truth.T_cam_obj @ own, truth.scale, hand.T_cam_hand, hand.vertices),
     )
     other = None if scene.other_hand is None else mirrored(scene.other_hand)
-    turned = Axis(mirrored(axis.point), -mirrored(axis.direction), axis.angle)  # a mirror turns rotations round
+    turned = Axis(mirrored(axis.point), -mirrored(axis.direction), axis.angle)  # a mirror reverses rotations
     return replace(scene, clip=mirrored_clip, object=_mirror_mesh(scene.object), axis=turned, other_hand=other)
 
 
@@ -229,7 +227,7 @@ def _mirror_mesh(mesh: Mesh) -> Mesh:
 
 
 def ground_truth_masks(scene: Scene) -> Masks:
-    """Render the true masks of the scene."""
+    """Render the scene's true masks."""
     clip = scene.clip
     surfaces = [scene.surfaces(n) for n in range(len(clip))]
     drawn = zip(surfaces, clip.K, strict=True)
@@ -237,7 +235,7 @@ def ground_truth_masks(scene: Scene) -> Masks:
 
 
 def render_pictures(scene: Scene) -> list[UInt8[ndarray, "H W 3"]]:
-    """Render plain pictures of the scene, one per frame."""
+    """Render plain images of the scene, one per frame."""
     width, height = scene.options.size
     shade = np.linspace(0.93, 0.74, height)[:, None, None] * np.array([1.0, 0.98, 0.95])
     background = np.broadcast_to(255.0 * shade, (height, width, 3)).astype(np.uint8)
@@ -250,7 +248,7 @@ def render_pictures(scene: Scene) -> list[UInt8[ndarray, "H W 3"]]:
         left, top = np.clip(np.floor(uv.min(axis=0)).astype(int), 0, (width - 1, height - 1))
         right, bottom = np.clip(np.ceil(uv.max(axis=0)).astype(int), (left + 1, top + 1), (width, height))
         image = background.copy()
-        window = image[top:bottom, left:right]  # drawing all of the image would take much longer
+        window = image[top:bottom, left:right]  # rendering the full image would take much longer
         shift = np.array([[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]])
         window[:] = render_rgb(meshes, K - shift, (window.shape[1], window.shape[0]), window)
         images.append(image)

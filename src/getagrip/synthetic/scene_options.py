@@ -1,12 +1,12 @@
-"""Options of a synthetic clip."""
+"""Options of a synthetic clip, and presets of them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Literal
 
 from getagrip.io.options import check_values
-from getagrip.synthetic.noise import Noise
+from getagrip.synthetic.noise import NOISE_PRESETS, Noise
 
 
 @dataclass(frozen=True)
@@ -15,24 +15,22 @@ class SceneOptions(Noise):
 
     Attributes:
         frames: number of frames, at least 2.
-        fps: frames per second; where motion is measured, the duration is drawn instead.
+        fps: frames per second; with measured motion, the duration is drawn instead.
         size: width and height of the images [px].
         focal: focal length [px].
         side: ``left`` or ``right`` hand.
-        scale: ``known``: the mesh of the clip has the size of the object. ``free``: it is divided by an unknown scale
-            between 0.8 and 1.25.
-        vary: largest share by which each axis of the object is stretched or shrunk.
-        deform: root mean square distance by which a smooth deformation besides displaces the object's surface, as a
-            share of its diameter.
-        cad: ``exact``: the mesh of the clip has the shape of the object. ``mean``: it has the mean shape of the
-            category.
+        scale: ``known``: the clip's mesh has the object's size. ``free``: it is divided by an unknown scale between 0.8
+            and 1.25.
+        vary: maximum relative stretch of the object along each axis.
+        deform: root mean square displacement of the object's surface by an additional smooth deformation [diameters].
+        cad: ``exact``: the clip's mesh has the object's shape. ``mean``: it has the category's mean shape.
         grip_deg: root mean square rotation of the object in the hand away from a usual grip [degrees]; above zero,
             rarer grips occur as well.
         motion: motion of the object in the hand. ``hinge``: nearly about one axis, within the next three limits.
             ``measured``: drawn from the statistics of real grasps.
-        turn_deg: smallest and largest range of the angle about the axis over the clip [degrees].
-        residual_deg: largest rotation of the object in the hand besides the one about the axis [degrees].
-        residual_mm: largest translation of the object in the hand besides that of the axis [mm].
+        turn_deg: minimum and maximum range of the angle about the axis over the clip [degrees].
+        residual_deg: maximum rotation of the object in the hand besides that about the axis [degrees].
+        residual_mm: maximum translation of the object in the hand besides that by the axis [mm].
         other_hand: True if the other hand comes in front of the object.
     """
 
@@ -57,4 +55,15 @@ class SceneOptions(Noise):
 
 
 DEMO_SCENE_OPTIONS = SceneOptions(hand_jitter_deg=0.5, hand_jitter_mm=0.5, mask_ragged_px=0.7)
-"""Options of ``getagrip demo``: small noise on hands and masks; 30 frames, 1-DoF motion with a small residual."""
+"""Options of ``getagrip demo``: small noise on hands and masks; 30 frames of 1-DoF motion with a small residual."""
+SYNTHETIC_PRESETS: dict[str, SceneOptions] = {
+    "clean": SceneOptions(),
+    "moderate": SceneOptions(**asdict(NOISE_PRESETS["moderate"])),
+    "strong": SceneOptions(**asdict(NOISE_PRESETS["strong"])),
+    "estimated": SceneOptions(**asdict(NOISE_PRESETS["estimated"])),
+    "wild": SceneOptions(**asdict(NOISE_PRESETS["moderate"]), cad="mean", vary=0.15, scale="free"),
+    "measured": SceneOptions(
+        **asdict(NOISE_PRESETS["moderate"]), cad="mean", vary=0.15, deform=0.03, scale="free", motion="measured"
+    ),
+}
+"""Options by name: exact inputs; noisy hands and masks; only the mean shape, without its size, as for videos."""

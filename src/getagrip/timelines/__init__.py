@@ -1,1 +1,1 @@
-"""From a clip with segments to one motion of the object from table to hand and back."""
+"""Timelines: one motion of the object, from the table into the hands and back, for a clip with segments."""

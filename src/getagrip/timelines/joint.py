@@ -1,13 +1,12 @@
-"""All segments of a timeline together: each one's hypotheses, the chain of them with the least energy, all frames.
+"""The joint solution of a timeline: hypotheses per segment, the chain of least energy, then all frames.
 
-Static segments come first: the hand's errors do not touch them, and they show what it will hide. Followed into the
-neighbouring grasps, their poses are starts and links of the search there. Then the chain is chosen by the energies of
-all segments and of their links, and the frames between are filled in.
+Static segments are solved first: errors of the hand cannot affect them, and they show surfaces that the hand hides
+later. Their poses, tracked into the neighbouring grasps, are start poses and links of the grasps' search. The chain is
+then chosen by the energies of all segments and links, and the frames in between are filled in.
 
-A link is what it costs to take a hypothesis of one segment for the same object as a hypothesis of the next. The one is
-followed by the masks to where the other begins, and the other back to where the one ends, along several paths each:
-what counts is a path's own energy, and how far off it ends. Either may lose the object on the way, behind the hand: the
-better of the two counts.
+A link's cost compares hypotheses of two neighbouring segments. Each is tracked by the masks to the frame where the
+other segment begins or ends, along several paths; a path costs its own energy and its final distance. Tracking can lose
+the object behind the hand in either direction, so the cheaper direction counts.
 """
 
 from __future__ import annotations
@@ -47,17 +46,17 @@ from getagrip.timelines.transitions import (
 )
 
 LINK_FRAMES = 6
-"""Frames of a grasp's problem that a link to it holds in."""
+"""Number of the problem's frames, at a grasp's border, in which a link applies."""
 
 
 @dataclass(frozen=True)
 class Anchor:
-    """A segment whose pose is found by itself.
+    """A segment that is solved by itself: a static one, or a grasp.
 
     Attributes:
-        found: its hypotheses, at its frames, or at those of its grasp's problem.
-        solutions: those of a grasp, which ``found`` are of.
-        near: the links that it was searched with, if it is a grasp.
+        found: hypotheses at the segment's frames, or at those of the grasp's problem.
+        solutions: the grasp's solutions, from which ``found`` are made; None for a static segment.
+        near: the links of the grasp's search.
     """
 
     segment: Segment
@@ -66,20 +65,20 @@ class Anchor:
     near: tuple[Neighbour, ...] = ()
 
     def end(self, side: int) -> tuple[Hypotheses, int]:
-        """Return its hypotheses at the first known frame (side 0) or the last (-1), and which that is."""
+        """Return the hypotheses at the first known frame (``side`` 0) or the last (-1), and the frame's index."""
         segment = self.segment
         row = int(self.solutions.sampled[side]) if self.solutions else segment.last if side else segment.first
         return self.found.at(np.array([side])), row
 
     def near_at(self, earlier: bool) -> Paths | None:
-        """Return the paths of the neighbour before or after it, at the frame that they share; None without any."""
+        """Return the paths of the neighbour before or after, at the shared frame; None without such a neighbour."""
         at = np.array([0 if earlier else -1])
         return next((one.paths.at(at) for one in self.near if one.earlier == earlier), None)
 
 
 @dataclass(frozen=True)
 class Chain:
-    """The hypotheses that are chosen, one of each anchor, their energy, and that of the next best chain."""
+    """The chosen hypothesis of each anchor, the chain's energy, and the energy of the next best chain."""
 
     anchors: tuple[Anchor, ...]
     chosen: tuple[int, ...]
@@ -90,7 +89,7 @@ class Chain:
 def choose_hypotheses(
     footage: TimelineInputs, support: bool, on_stage: Callable[[str], None] = lambda _: None
 ) -> Chain:
-    """Find the chain of least energy; ``support`` includes the plane that static objects lie on.
+    """Find the chain of least energy; ``support`` adds the energy of the support plane to static segments.
 
     Raises ``InputError`` where no static segment and no grasp shows the object.
     """
@@ -115,7 +114,7 @@ def choose_hypotheses(
 def fill_all_frames(
     footage: TimelineInputs, chain: Chain, on_stage: Callable[[str], None] = lambda _: None
 ) -> TimelineMotion:
-    """Extend the chosen hypotheses to all frames of their segments, and fill the frames between."""
+    """Extend the chosen hypotheses to their segments' frames, and fill the frames between segments."""
     motion, known = TimelineMotion.of(footage.clip, footage.shown), list[Segment]()
     for anchor, k in zip(chain.anchors, chain.chosen, strict=True):
         if anchor.solutions is None:
@@ -135,7 +134,7 @@ def fill_all_frames(
 
 
 def _add_grasps(footage: TimelineInputs, static: dict[Segment, Hypotheses]) -> list[Anchor]:
-    """Return static segments and grasps in their order."""
+    """Solve the grasps with links to their static neighbours; return all anchors in order of time."""
     grasps = {s: GraspClip.of(footage.clip, s) for s in footage.clip.segments if s.state == "grasp"}
     order = [s for s in footage.clip.segments if s in static or grasps.get(s) is not None]
     anchors = []
@@ -160,13 +159,12 @@ def _add_grasps(footage: TimelineInputs, static: dict[Segment, Hypotheses]) -> l
 
 
 def _equal_hypotheses(surface: ObjectSurface, hypotheses: Hypotheses, k: int) -> Bool[ndarray, "K"]:
-    """Which hypotheses put the object's surface where hypothesis k has it, k included."""
+    """Hypotheses whose posed surface duplicates that of hypothesis k, k included."""
     pairs = (hypotheses.take(np.array([k, other])) for other in range(len(hypotheses.scale)))
     return np.array([len(suppress_duplicates(pair, np.zeros(2), surface, 2)) == 1 for pair in pairs])
 
 
 def _pairwise_link_cost(footage: TimelineInputs, one: Anchor, other: Anchor) -> Float[ndarray, "K L"]:
-    """Compute the cost of each pair of hypotheses of two neighbouring segments."""
     mesh, (before, end), (after, begin) = footage.clip.mesh, one.end(-1), other.end(0)
     problems = [anchor.solutions.problem for anchor in (one, other) if anchor.solutions is not None]
     weight = max_link_cost(problems[0]) if problems else float(min(one.found.energy.min(), other.found.energy.min()))
@@ -176,16 +174,15 @@ def _pairwise_link_cost(footage: TimelineInputs, one: Anchor, other: Anchor) -> 
 
 
 def link_cost(mesh: Mesh, paths: Paths, start: Hypotheses, ends: Hypotheses, most: float) -> Float[ndarray, "K L"]:
-    """Compute the energy of each pair of hypotheses of two segments [px^2], ``max_link_cost`` at the most, each at one frame.
+    """Compute the link cost of each pair of hypotheses of two segments, each at one frame [px^2], at most ``most``.
 
-    ``paths`` lead from ``start`` to the frame that ``ends`` are of.
+    ``paths`` lead from ``start`` to the frame of ``ends``.
     """
     d2 = squared_vertex_distance(mesh, paths.found, ends)
     own = paths.found.energy - start.energy[paths.start]
+    slip2 = (LINK_SLIP_DIAMETERS * mesh.diameter) ** 2
     cost = np.full((len(start.R), len(ends.R)), most)
-    np.minimum.at(
-        cost, paths.start, own[:, None] - own.min() + most * d2 / (d2 + (LINK_SLIP_DIAMETERS * mesh.diameter) ** 2)
-    )
+    np.minimum.at(cost, paths.start, own[:, None] - own.min() + most * d2 / (d2 + slip2))
     return cost
 
 
@@ -199,9 +196,10 @@ def squared_vertex_distance(mesh: Mesh, one: Hypotheses, other: Hypotheses) -> F
 def best_chain(
     energy: Sequence[Float[ndarray, "_"]], links: Sequence[Float[ndarray, "_ _"]]
 ) -> tuple[list[int], float]:
-    """Choose one hypothesis of each segment by dynamic programming; also return their energy.
+    """Choose one hypothesis per segment by dynamic programming; also return the chain's energy.
 
-    ``energy[i][k]`` is that of hypothesis k of segment i, ``links[i][k, l]`` that of following it by hypothesis l.
+    ``energy[i][k]`` is the energy of hypothesis k of segment i, ``links[i][k, l]`` the cost of the link from it to
+    hypothesis l of segment i + 1.
     """
     total, back = energy[0], []
     for own, link in zip(energy[1:], links, strict=True):
@@ -215,13 +213,11 @@ def best_chain(
 
 
 def second_best(
-    energy: Sequence[Float[ndarray, "_"]],
-    links: Sequence[Float[ndarray, "_ _"]],
-    copies: Sequence[Bool[ndarray, "_"]],
+    energy: Sequence[Float[ndarray, "_"]], links: Sequence[Float[ndarray, "_ _"]], copies: Sequence[Bool[ndarray, "_"]]
 ) -> float:
-    """Return the least energy of a chain that differs from the chosen one, infinite where there is no other.
+    """Return the least energy of any chain that differs from the chosen one; infinite without another chain.
 
-    ``copies[i]`` are the hypotheses of segment i that are as good as the chosen one, itself included.
+    ``copies[i]`` marks the hypotheses of segment i that duplicate the chosen one, itself included.
     """
     others = []
     for i, same in enumerate(copies):

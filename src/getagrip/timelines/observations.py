@@ -1,7 +1,4 @@
-"""A timeline's clip and its masks, and problems at any of its frames that show the object.
-
-Hypotheses about the object in some frames of a timeline: a few distinct solutions, in the world.
-"""
+"""The inputs of a timeline, its grasps as clips of their own, and hypotheses about the object's poses in the world."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 
 TIMELINE_METHOD = "soft-hinge"
-"""How objects move in the grasps of a timeline."""
+"""Method that solves the grasps of a timeline."""
 
 
 @dataclass(frozen=True)
@@ -30,14 +27,14 @@ class TimelineInputs:
     """The inputs of a timeline's reconstruction.
 
     Attributes:
-        source: the clip as it came.
-        clip: the clip at its scale, its hand repaired, with a world: without one, the camera's own frame stands for it.
-        masks: those of the clip.
-        scale: of the mesh that was given.
-        some: the problem at a few of the frames, from which others are made.
+        source: the clip as read, and its repaired hand.
+        clip: the clip at its scale, with the repaired hand and a world: the camera frame where the clip has none.
+        masks: the clip's masks.
+        scale: scale of the clip's mesh.
+        some: the problem at two frames; problems at other frames are made from it.
         T_world_cam: (T, 4, 4) poses of the camera.
-        T_cam_world: (T, 4, 4) of the world before it.
-        shown: (T,) the frames whose masks show the object.
+        T_cam_world: (T, 4, 4) their inverses.
+        shown: (T,) frames whose masks show the object.
     """
 
     source: RepairedInput
@@ -51,9 +48,9 @@ class TimelineInputs:
 
     @staticmethod
     def of(source: RepairedInput) -> TimelineInputs:
-        """Read masks that were not given, and find a free scale.
+        """Read the masks unless the clip holds them, and estimate a free scale.
 
-        Raises ``UsageError`` for another method than the soft hinge, ``InputError`` where the object is visible in
+        Raises ``UsageError`` for methods other than the soft hinge, ``InputError`` where the object is visible in
         fewer than two frames.
         """
         clip, options, scale = source.clip, source.options, 1.0
@@ -74,16 +71,16 @@ class TimelineInputs:
         return len(self.clip)
 
     def problem(self, rows: Int[ndarray, "n"]) -> Problem:
-        """Make the problem at frames that show the object, in the given order, with the repaired hand."""
+        """Make the problem at ``rows``, in this order, with the repaired hand; all must show the object."""
         return self.some.at(self.clip.take(rows))
 
 
 @dataclass(frozen=True)
 class GraspClip:
-    """A grasp as a clip of the hand that holds the object, in the frames in which that hand is known.
+    """A grasp as a clip of the grasping hand, at the frames in which this hand is known.
 
     Attributes:
-        rows: these frames, of the timeline.
+        rows: indices of these frames in the timeline.
     """
 
     segment: Segment
@@ -92,9 +89,9 @@ class GraspClip:
 
     @staticmethod
     def of(clip: Clip, segment: Segment) -> GraspClip | None:
-        """Make the grasp of a clip with its masks; None where fewer than two of its frames show the object.
+        """Cut a grasp out of a clip with masks; None where fewer than two frames show the object.
 
-        The other hand's pixels are not known apart from all ignored.
+        A grasp by the other hand has no hand mask: the ignore mask holds the pixels of both hands.
         """
         by, rows = clip.with_side(segment.side), segment.rows[clip.hand_known(segment.side)[segment.rows]]
         if by is None or not len(rows):
@@ -107,7 +104,7 @@ class GraspClip:
 
 
 def find_scale(clip: Clip, options: Options) -> float:
-    """Return the object's scale: that of the longest grasp, where hand and camera determine it.
+    """Estimate the object's scale from the longest grasp, where hand and camera determine it.
 
     Raises ``InputError``.
     """
@@ -119,24 +116,24 @@ def find_scale(clip: Clip, options: Options) -> float:
 
 @dataclass(frozen=True)
 class Hypotheses(PosesInHand):
-    """K solutions in n frames of a clip, best first; the poses are in the world.
+    """K solutions in n frames of a clip, best first; poses are in the world frame.
 
     Attributes:
-        energy: of each [px^2 of the 256-pixel crop].
+        energy: (K,) energy of each solution [px^2 of the 256-pixel crop].
     """
 
     energy: Float[ndarray, "K"]
 
     def at(self, frames: Int[ndarray, "m"]) -> Hypotheses:
-        """Return the hypotheses at some of the frames."""
+        """Return the hypotheses at ``frames``."""
         return Hypotheses(self.R[:, frames], self.centre[:, frames], self.scale, self.energy)
 
     def T_world_obj(self, centre: Float[ndarray, "3"]) -> Float[ndarray, "K n 4 4"]:
-        """Return poses of the mesh's own frame, in which its centre is where it is given."""
+        """Return the poses of the mesh's own frame, in which ``centre`` is the mesh's centre."""
         return hand_object_transforms(self, centre)
 
     @staticmethod
     def of_pose(T_world_obj: Float[ndarray, "4 4"], centre: Float[ndarray, "3"]) -> Hypotheses:
-        """Make the hypothesis of one known pose in one frame, at the scale of the mesh."""
+        """Make the hypothesis of one known pose in one frame, at scale 1 and energy 0."""
         placed_centre = se3.transform(T_world_obj, centre[None])
         return Hypotheses(T_world_obj[None, None, :3, :3], placed_centre[None], np.ones(1), np.zeros(1))

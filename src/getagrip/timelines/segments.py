@@ -1,13 +1,11 @@
-"""A stable grasp: a soft hinge in the hand, searched once for itself and once with links to its neighbours.
+"""Segments solved by themselves: a grasp as a soft hinge in the hand, a static segment as one pose in the world.
 
-A neighbour's pose that has been followed into the grasp is one more start of the second search, and what its link asks
-for: where one segment has the object, the next should have it, but for a slip. All solutions of both searches count
-afterwards: a wrong neighbour then cannot take the right one away.
+A grasp is searched twice, without and with links to its neighbours. A neighbour's poses, tracked into the grasp, are
+further starts of the second search, and its link pulls the poses towards them, up to a slip. Solutions of both searches
+are kept, so that a wrong neighbour cannot displace the right solution.
 
-The pose of a static object: one pose in the world for all frames of the segment, from the masks alone.
-
-No hand helps and none disturbs. A camera that stands still sees one silhouette only, through hands that pass: depth
-comes from the object's size, and from the plane that it lies on where that is known.
+A static segment is fitted to the masks alone: hands neither help nor disturb. A static camera sees a single silhouette,
+through passing hands: depth comes from the object's size, and from the support plane where it is known.
 """
 
 from __future__ import annotations
@@ -37,25 +35,33 @@ from getagrip.timelines.observations import GraspClip, Hypotheses
 from getagrip.timelines.tracking import Paths
 
 COMPARISON_RESOLUTION_PX = 256
-"""Resolution at which solutions are compared [px]."""
+"""Resolution of the masks by which solutions are compared [px]."""
 MAX_NEIGHBOUR_STARTS = 8
-"""Paths of a neighbour's poses that the search begins with, too."""
+"""Maximum number of a neighbour's paths that are start poses of the search."""
 N_FINAL_ITERATIONS = 6
-"""Iterations of the last fit."""
+"""Iterations of the final fit."""
 LINK_WEIGHT = 0.03
-"""Most that a link can cost, in areas of the object's mask times frames of the segment."""
+"""Maximum cost of a link, as a fraction of the object's mask area times the segment's number of frames."""
 LINK_SLIP_DIAMETERS = 0.08
-"""Distance of the surface at which it costs half of that, in diameters: about 15 degrees."""
+"""Surface distance at which a link costs half its maximum [diameters]: about 15 degrees."""
+N_STATIC_FRAMES = 8
+"""Number of frames of a static segment that are fitted, since all show nearly the same."""
+SUPPORT_WEIGHT = 0.01
+"""Energy of an object that floats at ``FLOATING_HEIGHT_M``, as a fraction of the mean mask area."""
+FLOATING_HEIGHT_M = 0.01
+"""Height over the support plane at that energy [m]."""
+MAX_ENERGY_RATIO = 1.5
+"""Multiple of the least energy above which solutions are dropped."""
 
 
 @dataclass(frozen=True)
 class ExpectedPoses:
-    """The object's pose in some frames of a segment, by a neighbouring segment's hypotheses, in the camera frame.
+    """Poses of the object in some frames of a segment, expected by a neighbour's hypotheses, in the camera frame.
 
     Attributes:
-        frames: the frames, of those that the segment's fit sees.
-        R, centre: poses about the mesh's centre; the first axis is the neighbour's hypotheses.
-        cost: (K,) energy of each hypothesis above the best.
+        frames: indices into the frames of the segment's fit.
+        R, centre: poses about the mesh's centre; the first axis counts the neighbour's hypotheses.
+        cost: (K,) energy of each hypothesis above the best one [px^2].
     """
 
     frames: Int[ndarray, "m"]
@@ -68,17 +74,17 @@ class ExpectedPoses:
 class LinkTerm:
     """``min over hypotheses k of cost_k + weight * d^2 / (d^2 + slip^2)``, in the frames of the link.
 
-    d^2 is the mean squared distance of the object's vertices from where hypothesis k expects them. Beyond ``slip`` a
-    larger distance costs little more: the object may have been turned in between, or the hypothesis lost.
+    d^2 is the mean squared distance of the object's vertices from hypothesis k. Beyond ``slip`` larger distances cost
+    little more: the object may have been turned in between, or tracking may have lost the hypothesis.
     """
 
     moments: Float[ndarray, "4 4"]
-    """Second moments of the vertices about the centre (``smoothness.moments``)."""
+    """Second moments of the vertices about the centre (``vertex_moments``)."""
     expected: ExpectedPoses
     weight: float
-    """Most that a link can cost in all its frames together [px^2]."""
+    """Maximum cost of the link, summed over its frames [px^2]."""
     slip: float
-    """[m]."""
+    """Distance at half of the maximum cost [m]."""
     name: str = "link"
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
@@ -110,13 +116,13 @@ class LinkTerm:
 
 @dataclass(frozen=True)
 class Neighbour:
-    """The object's pose in some frames of a grasp's problem, by the followed hypotheses of a neighbouring segment."""
+    """The tracked hypotheses of a neighbouring segment, in some frames of a grasp's problem."""
 
     paths: Paths
     frames: Int[ndarray, "m"]
-    """Rising indices of the problem's frames."""
+    """Indices of the problem's frames, ascending."""
     earlier: bool
-    """True if the neighbour comes before the grasp."""
+    """True if the neighbour precedes the grasp."""
 
 
 @dataclass(frozen=True)
@@ -125,22 +131,22 @@ class GraspSolutions:
 
     grasp: GraspClip
     problem: Problem
-    """At the frames that are fitted together."""
+    """The problem at the sampled frames."""
     sampled: Int[ndarray, "m"]
-    """These frames, of the timeline."""
+    """Indices of the sampled frames in the timeline."""
     motion: Soft[Hinge]
     energy: Float[ndarray, "K"]
-    """Without links."""
+    """Energy of each solution without links [px^2]."""
 
     @property
     def hypotheses(self) -> Hypotheses:
-        """In the world, at the problem's frames."""
+        """The solutions in the world frame, at the sampled frames."""
         poses = transform_poses(self.motion.poses(), _T_world_hand(self.problem))
         return Hypotheses(poses.R, poses.centre, poses.scale, self.energy)
 
 
 def solve_grasp(grasp: GraspClip, problem: Problem, neighbours: Sequence[Neighbour]) -> GraspSolutions:
-    """Search for the solutions of a grasp, by its problem. Raises ``GetagripError`` where nothing can be rendered."""
+    """Search for the solutions of a grasp. Raises ``GetagripError`` where nothing can be rendered."""
     found = soft_hinges(problem, lambda _: None)
     motion = found.motion
     if neighbours:
@@ -150,32 +156,32 @@ def solve_grasp(grasp: GraspClip, problem: Problem, neighbours: Sequence[Neighbo
         motion = motion.concatenate(replace(linked.motion, ridge=motion.ridge))
     terms, N = soft_energy(problem)(COMPARISON_RESOLUTION_PX, np.arange(len(problem.clip))), len(motion.deviation)
     cost = evaluate(motion, terms, problem.clip.hand.T_cam_hand, np.full(N, np.inf)).cost
-    order = np.argsort(cost, kind="stable")  # all of them: a box turned by half is the same, but for its links
+    order = np.argsort(cost, kind="stable")  # all are kept: symmetric poses have equal masks, but different links
     sampled = grasp.rows[grasp.clip.index_of(problem.clip.frames)]
     return GraspSolutions(grasp, problem, sampled, motion.take(order), cost[order])
 
 
 @dataclass(frozen=True)
 class GraspTrack:
-    """A grasp in all of its frames in which its hand is known."""
+    """A grasp's chosen solution, in all frames in which its hand is known."""
 
     solutions: GraspSolutions
     chosen: int
-    """Which of its solutions."""
+    """Index of the chosen solution."""
     found: MethodResult
-    """That, fitted once more with its links, at the problem's frames."""
+    """The chosen solution, refitted with its links, at the sampled frames."""
     track: SolutionTrack
-    """That, in all frames."""
+    """The refitted solution in all frames."""
 
     @property
     def axis(self) -> Axis | None:
-        """Its axis, with the angles in all frames."""
+        """The grasp's axis, with the angle of every frame."""
         axis, angle = self.found.axis, self.track.angle
         return None if axis is None or angle is None else replace(axis, angle=angle)
 
 
 def fit_in_all_frames(solutions: GraspSolutions, k: int, neighbours: Sequence[Neighbour]) -> GraspTrack:
-    """Fit solution k once more with its links, in every frame; an estimated hand is solved with it."""
+    """Fit solution k again with its links, and extend it to every frame; an estimated hand is solved jointly."""
     motion, hand = solutions.motion.take(np.array([k])), None
     if solutions.problem.refinement is not None:
         hand, motion = solve_with_hand(solutions.problem, motion, lambda some: linked_energy(some, neighbours))
@@ -190,7 +196,6 @@ def fit_in_all_frames(solutions: GraspSolutions, k: int, neighbours: Sequence[Ne
 
 
 def _refit_with_links(problem: Problem, found: MethodResult, neighbours: Sequence[Neighbour]) -> MethodResult:
-    """Fitted again, links included."""
     assert isinstance(found.motion, Soft)
     terms = linked_energy(problem, neighbours)(COMPARISON_RESOLUTION_PX, np.arange(len(problem.clip)))
     solution = minimise(found.motion, terms, problem.clip.hand.T_cam_hand, N_FINAL_ITERATIONS)
@@ -198,7 +203,7 @@ def _refit_with_links(problem: Problem, found: MethodResult, neighbours: Sequenc
 
 
 def linked_energy(problem: Problem, neighbours: Sequence[Neighbour]) -> Energy:
-    """Return the energy of a grasp with its links."""
+    """Return the energy of a grasp and of its links."""
     return sum_energies(soft_energy(problem), link_energy(problem, neighbours))
 
 
@@ -208,7 +213,7 @@ def link_energy(problem: Problem, neighbours: Sequence[Neighbour]) -> Energy:
 
 
 def max_link_cost(problem: Problem) -> float:
-    """Return the most that a link to a problem can cost [px^2]."""
+    """Return the maximum cost of a link to a problem [px^2]."""
     return LINK_WEIGHT * float(problem.observation.area.mean()) * len(problem.clip)
 
 
@@ -229,7 +234,7 @@ def _link_terms(problem: Problem, neighbour: Neighbour) -> Energy:
 
 
 def _starts_from_neighbour(problem: Problem, neighbour: Neighbour) -> Float[ndarray, "k 4 4"]:
-    """``T_hand_obj`` as the neighbour has it in the first and in the last of its frames."""
+    """``T_hand_obj`` by the neighbour's paths, in the first and in the last of its frames."""
     T_world_obj = neighbour.paths.found.T_world_obj(problem.clip.mesh.centre)[:MAX_NEIGHBOUR_STARTS]
     T_hand_world = se3.inverse(_T_world_hand(problem)[neighbour.frames])
     return np.concatenate([T_hand_world[n] @ T_world_obj[:, n] for n in (0, -1)])
@@ -241,35 +246,23 @@ def _T_world_hand(problem: Problem) -> Float[ndarray, "n 4 4"]:
     return np.asarray(clip.world.T_world_cam @ clip.hand.T_cam_hand)
 
 
-N_STATIC_FRAMES = 8
-"""Number of frames of a static segment that are fitted: they show nearly the same."""
-SUPPORT_WEIGHT = 0.01
-"""Energy, in mean areas of the masks, of an object that floats at ``FLOATING_HEIGHT_M``."""
-FLOATING_HEIGHT_M = 0.01
-"""[m]."""
-MAX_ENERGY_RATIO = 1.5
-"""Solutions with more than this multiple of the least energy are dropped."""
-
-
 def select_static_frames(segment: Segment, shown: Bool[ndarray, "T"]) -> Int[ndarray, "n"]:
-    """Choose the frames of a static segment that determine its pose; none where fewer than two show the object."""
+    """Choose the fitted frames of a static segment; none where fewer than two show the object."""
     seen = segment.rows[shown[segment.rows]]
     return seen[frame_indices(len(seen), N_STATIC_FRAMES)] if len(seen) > 1 else seen[:0]
 
 
 def static_hypotheses(problem: Problem, frames: int, support: bool, start: Hypotheses | None = None) -> Hypotheses:
-    """Search for one pose in the ``frames`` of a segment, by the problem at some of them.
+    """Search for one pose of a static segment of ``frames`` frames, by the problem at some of them.
 
-    ``start`` are poses to begin with besides uniform rotations (their first frame's). ``support``: whether the plane
-    counts. Raises ``GetagripError`` where nothing can be rendered.
+    ``start`` holds further start poses, of its first frame. ``support`` adds the energy of the support plane.
+    Raises ``GetagripError`` where nothing can be rendered.
     """
     assert problem.clip.world is not None
     T_cam_world = se3.inverse(problem.clip.world.T_world_cam)
-    energy = (
-        sum_energies(object_evidence_energy(problem), support_energy(problem))
-        if support
-        else object_evidence_energy(problem)
-    )
+    energy = object_evidence_energy(problem)
+    if support:
+        energy = sum_energies(energy, support_energy(problem))
     search = Search(T_cam_world, problem.surface, DEFAULT_SCHEDULE, lambda _: None)
     found = search.run(search.relax(static_initial_poses(problem, start), energy).core, energy)
     best = found.take(np.flatnonzero(found.energy <= MAX_ENERGY_RATIO * found.energy[0]))
@@ -278,7 +271,7 @@ def static_hypotheses(problem: Problem, frames: int, support: bool, start: Hypot
 
 
 def support_energy(problem: Problem) -> Energy:
-    """Return the energy of an object above or below its support; zero where the plane is not known."""
+    """Return the energy of the object's height over the support plane; zero where the plane is unknown."""
     clip = problem.clip
     world = clip.world
     if world is None or world.up is None or world.support is None:
@@ -296,7 +289,7 @@ def support_energy(problem: Problem) -> Energy:
 def static_initial_poses(problem: Problem, start: Hypotheses | None) -> Fixed:
     """Return the poses of ``start``, then uniform rotations on the ray through the first mask.
 
-    These are as far away as the mask's size implies; with a free scale, as far as the hand is on average.
+    Their distance follows from the mask's size; with a free scale it is the hand's mean distance.
     """
     clip, inits = problem.clip, problem.options.inits
     assert clip.world is not None
@@ -320,21 +313,21 @@ def static_initial_poses(problem: Problem, start: Hypotheses | None) -> Fixed:
 
 @dataclass(frozen=True)
 class SupportTerm:
-    """``weight * h^2 / (1 + h^2 / far^2)`` in each frame, h the height of the lowest vertex over the plane.
+    """``weight * h^2 / (1 + h^2 / far^2)`` in each frame, h the height of the lowest vertex over the support plane.
 
-    An object may lie on something else that lies on the plane: beyond ``far``, more height costs little more.
+    Beyond ``far`` more height costs little more: the object may lie on another object on the plane.
     """
 
     vertices: Float[ndarray, "V 3"]
-    """Vertices of the object about its centre, unscaled [m]; those of the convex hull are enough."""
+    """Vertices of the object's convex hull about its centre, unscaled [m]."""
     normal: Float[ndarray, "N 3"]
-    """Up, in the camera frame."""
+    """The plane's normal, upwards, in the camera frame."""
     height: Float[ndarray, "N"]
-    """Height of the plane along it, from the camera [m]."""
+    """Height of the plane over the camera, along the normal [m]."""
     weight: float
     """Energy per square metre [px^2 / m^2]."""
     far: float = 0.02
-    """[m]."""
+    """Height at half of the maximum energy [m]."""
     name: str = "support"
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
@@ -352,7 +345,7 @@ class SupportTerm:
 
 
 def hull_vertices(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "n 3"]:
-    """Return the vertices that can be the lowest."""
+    """Return the vertices of the convex hull, one of which is the lowest in any pose."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -364,6 +357,6 @@ def hull_vertices(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "n 3"]:
 def plane_in_camera(
     T_world_cam: Float[ndarray, "N 4 4"], up: Float[ndarray, "3"], support: float
 ) -> tuple[Float[ndarray, "N 3"], Float[ndarray, "N"]]:
-    """Return normal and height of the world's plane in the camera frame."""
+    """Return the support plane in each camera frame: its normal, and its height over the camera [m]."""
     normal = (se3.inverse(T_world_cam)[:, :3, :3] @ up[:, None])[..., 0]
     return normal, support - T_world_cam[:, :3, 3] @ up

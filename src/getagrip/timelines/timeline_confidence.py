@@ -1,4 +1,4 @@
-"""Judge a timeline without ground truth: its checks, its segments, and whether its grasps are right."""
+"""Confidence in a timeline, without ground truth: checks, findings per segment, the probability of each grasp."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.checks import INPUT_CHECKS
-from getagrip.checks.calibration import PROBABILITY_MEANING as MEANING_ALONE
+from getagrip.checks.calibration import PROBABILITY_MEANING
 from getagrip.checks.features import compute_features
 from getagrip.checks.timeline_checks import check_timeline
 from getagrip.clip import Clip, Segment, other_evidence
@@ -30,22 +30,21 @@ from getagrip.timelines.segments import COMPARISON_RESOLUTION_PX, GraspTrack
 from getagrip.timelines.transitions import TimelineMotion
 
 N_JUDGED_CANDIDATES = 4
-"""Solutions that count, the chosen one included: as many as a search by itself ends with."""
-TIMELINE_PROBABILITY_MEANING = (
-    f"{MEANING_ALONE.format('hand')}; calibrated on single grasps, a rough guide for timelines"
-)
-"""Meaning of a grasp's probability (docs/checks.md)."""
+"""Number of a grasp's solutions that its features compare, the chosen one included: as many as a search ends with."""
+TIMELINE_PROBABILITY_MEANING = PROBABILITY_MEANING.format("hand")
+TIMELINE_PROBABILITY_MEANING += "; calibrated on single grasps, a rough guide for timelines"
+"""Meaning of a grasp's probability of being right (docs/checks.md)."""
 
 
 @dataclass(frozen=True)
 class TimelineAnswer(FrameSolutions):
-    """The answer of a timeline, and the motion that it is made of."""
+    """Poses of a timeline in all frames, and the motion from which they come."""
 
     motion: TimelineMotion
 
 
 def judge_timeline(footage: TimelineInputs, chain: Chain, answer: TimelineAnswer) -> Judgement:
-    """Check a timeline and its segments, and say how probable it is that its grasps are right."""
+    """Check a timeline and its segments, and compute the probability that each grasp is right."""
     source, motion, iou = footage.source, answer.motion, answer.track.iou
     hands = motion.T_cam_hand, motion.T_cam_obj, footage.scale, iou, motion.T_cam_other_hand
     examined = check_timeline(source.original, footage.masks, *hands, source.glitches)
@@ -63,7 +62,6 @@ def judge_timeline(footage: TimelineInputs, chain: Chain, answer: TimelineAnswer
 
 
 def _summarise_segment(clip: Clip, segment: Segment, motion: TimelineMotion, iou: Float[ndarray, "T"]) -> SegmentResult:
-    """Describe what was found in a segment."""
     rows, is_grasp = segment.rows, segment.state == "grasp"
     seen = iou[rows][~np.isnan(iou[rows])]
     grasp = motion.grasps.get(segment.first) if is_grasp else None
@@ -85,15 +83,14 @@ def _summarise_segment(clip: Clip, segment: Segment, motion: TimelineMotion, iou
 def _grasp_probability(
     options: Options, signs: dict[str, float], findings: Sequence[Finding], evidence: Sequence[str]
 ) -> Probability | None:
-    """Compute how probable it is that a grasp is right, with the findings about it and about the clip."""
-    names = {*INPUT_CHECKS}
-    of_input = [one for one in findings if one.check in names]
+    """Compute the probability that a grasp is right; ``findings`` are the grasp's own and the clip's."""
+    of_input = [one for one in findings if one.check in {*INPUT_CHECKS}]
     right = probability_right(options, signs, of_input, terms=evidence)
     return right and replace(right, meaning=TIMELINE_PROBABILITY_MEANING)
 
 
 def read_grasp_signs(track: GraspTrack) -> dict[str, float]:
-    """Return the signs of a grasp, at the frames that were fitted together; solutions' energies are without links."""
+    """Compute the features of a grasp at its sampled frames; energies of its solutions are without links."""
     solutions, found = track.solutions, track.found
     problem, poses = solutions.problem, solutions.motion.poses()
     energy = solutions.energy.copy()
@@ -105,11 +102,7 @@ def read_grasp_signs(track: GraspTrack) -> dict[str, float]:
     mask, *_ = soft_energy(problem)(COMPARISON_RESOLUTION_PX, np.arange(len(problem.clip)))
     assert found.motion is not None
     missed = float(mask(poses_in_camera(found.motion, problem.clip.hand.T_cam_hand), np.full(1, np.inf)).value.sum())
-    result = replace(
-        found,
-        poses=PosesInHand(R, centre, distinct.scale),
-        energy=solutions.energy[best],
-        terms=found.terms | {"mask": missed},
-    )
+    poses, terms = PosesInHand(R, centre, distinct.scale), found.terms | {"mask": missed}
+    result = replace(found, poses=poses, energy=solutions.energy[best], terms=terms)
     sampled = at_sampled_frames(problem, result)
     return compute_features(solved_of(solutions.grasp.clip, problem, result, sampled, sampled))

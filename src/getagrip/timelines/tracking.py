@@ -1,9 +1,9 @@
-"""Poses followed from frame to frame by the masks, along several paths each.
+"""Tracking of hypotheses from frame to frame by the masks, along several paths each.
 
-From one frame to the next an object stays, moves on as before, goes with the hand, or turns: each is a proposal, fitted
-to the mask. Where the masks cannot tell, as while the hand covers a mug's handle, a single pose gets lost; so the
-distinct paths of least energy go on, and later masks choose. Depth and what a silhouette does not show stay as they
-were proposed: deviations are under a ridge.
+From one frame to the next an object stays, continues its motion, moves with a hand, or turns: each is a proposal that
+is fitted to the mask. Masks can be ambiguous, as while the hand covers a mug's handle, and a single pose would get
+lost; so the distinct paths of least energy continue, and later masks choose. A ridge keeps depth, and whatever a
+silhouette does not show, as proposed.
 """
 
 from __future__ import annotations
@@ -26,36 +26,36 @@ from getagrip.geometry import se3
 from getagrip.timelines.observations import Hypotheses, TimelineInputs
 
 PROPOSAL_RIDGE = (5e4, 300.0)
-"""Stiffness of a frame's motion from where it was proposed [px^2 per m^2, per rad^2]."""
+"""Stiffness of a pose's deviation from its proposal [px^2 per m^2, per rad^2]."""
 PROPOSAL_TURN_RAD = np.radians(15.0)
-"""Angles of proposals that turn about the object's principal axes [rad]."""
+"""Angle of the proposals that turn about the object's principal axes [rad]."""
 N_PATHS = 4
-"""Kept of each pose."""
+"""Number of paths that are kept per start pose."""
 TRACKING_STAGES = ((2, ((64, 2),)), (1, ((64, 4), (128, 5))))
-"""In each frame: how many times as many paths are kept afterwards; resolutions [px] and iterations."""
+"""Stages in each frame: the multiple of ``N_PATHS`` that is kept after it; its resolutions [px] and iterations."""
 DUPLICATE_PATH_DISTANCE = 0.03
-"""Paths whose poses are nearer than this, in diameters, go on as one."""
+"""Surface distance below which two paths are one [diameters]."""
 UNRENDERABLE_ENERGY = 1e9
 """Energy of a pose that cannot be rendered [px^2]."""
 
 
 @dataclass(frozen=True)
 class Paths:
-    """The paths of poses, least energy first; a path's energy is its pose's, that of its masks and its steps."""
+    """Paths of tracked poses, least energy first: the energies of the start pose, of the masks and of all steps."""
 
     found: Hypotheses
     start: Int[ndarray, "P"]
-    """Which pose each path began with."""
+    """Index of each path's start pose."""
 
     def at(self, frames: Int[ndarray, "m"]) -> Paths:
-        """Return the paths at some of the frames."""
+        """Return the paths at ``frames``."""
         return Paths(self.found.at(frames), self.start)
 
 
 def track_hypotheses(footage: TimelineInputs, begin: int, rows: Int[ndarray, "n"], start: Hypotheses) -> Paths:
-    """Follow hypotheses of the frame ``begin`` into later frames, or earlier ones, in the order of the frames.
+    """Track hypotheses from the frame ``begin`` to ``rows``, later or earlier frames in the order of tracking.
 
-    Frames between are passed as well. In frames that do not show the object it stays where it was.
+    Frames in between are tracked, too. In frames whose masks do not show the object it stays at rest.
     """
     step = 1 if rows[-1] > begin else -1
     through = np.arange(begin + step, rows[-1] + step, step)
@@ -68,9 +68,9 @@ def track_hypotheses(footage: TimelineInputs, begin: int, rows: Int[ndarray, "n"
 
 
 def hand_motions(clip: Clip, before: int, after: int) -> list[Float[ndarray, "4 4"]]:
-    """Return how something that goes with a hand moves in the world from one frame to another.
+    """Return the motion in the world, from one frame to another, of an object that moves with a hand.
 
-    One motion for the clip's own hand, and one for the other hand if it is known in both frames.
+    The first is of the clip's own hand, the second of the other hand where both frames know it.
     """
     assert clip.world is not None
     ends, hands, other = [before, after], [clip.hand], clip.other_hand
@@ -83,9 +83,9 @@ def hand_motions(clip: Clip, before: int, after: int) -> list[Float[ndarray, "4 
 def _track_frames(
     problem: Problem, shown: Bool[ndarray, "n"], carried: Sequence[Sequence[Float[ndarray, "4 4"]]], start: Hypotheses
 ) -> Paths:
-    """Hypotheses from frame to frame; the problem is at those of n frames that show the object.
+    """Track hypotheses through n frames, of which ``shown`` are the problem's: those that show the object.
 
-    ``carried`` is what hands do to an object that goes with them, from each of these frames to the next.
+    ``carried`` holds the ``hand_motions`` from each of the problem's frames to the next.
     """
     energy, mesh, world = object_evidence_energy(problem), problem.clip.mesh, problem.clip.world
     assert world is not None
@@ -102,13 +102,10 @@ def _track_frames(
                     terms = energy(level, np.array([frame]))
                     fitted = minimise(motion, terms, T_cam_world[[frame]], iterations)
                     motion = fitted.motion
-                cost = here.energy[parent] + np.nan_to_num(
-                    fitted.energy, nan=UNRENDERABLE_ENERGY, posinf=UNRENDERABLE_ENERGY
-                )
-                spots = _pose_embedding(about, motion.poses())
-                best = _select_distinct_paths(
-                    spots, cost, paths.start[parent], times * N_PATHS, DUPLICATE_PATH_DISTANCE * mesh.diameter
-                )
+                energies = np.nan_to_num(fitted.energy, nan=UNRENDERABLE_ENERGY, posinf=UNRENDERABLE_ENERGY)
+                cost = here.energy[parent] + energies
+                spots, apart = _pose_embedding(about, motion.poses()), DUPLICATE_PATH_DISTANCE * mesh.diameter
+                best = _select_distinct_paths(spots, cost, paths.start[parent], times * N_PATHS, apart)
                 motion, parent, cost = motion.take(best), parent[best], cost[best]
             poses = motion.poses()
             before, here = here.take(parent), Hypotheses(poses.R, poses.centre, poses.scale, cost)
@@ -121,9 +118,9 @@ def _track_frames(
 def _propose_steps(
     here: Hypotheses, before: Hypotheses, carried: Sequence[Float[ndarray, "4 4"]], axes: Float[ndarray, "3 3"]
 ) -> tuple[Frozen[Soft[Fixed]], Int[ndarray, "M"]]:
-    """Propose how paths may go on, one frame each, and the path that each proposal is of.
+    """Propose poses in the next frame, and the path that each proposal continues.
 
-    Half a step on, a whole one with its turn, with a hand (``carried``), or turned about one of the axes.
+    Proposals: half of the last step, all of it with its turn, motion with a hand (``carried``), turns about ``axes``.
     """
     R, centre, n = here.R[:, 0], here.centre[:, 0], len(here.R)
     step, turn = centre - before.centre[:, 0], R @ np.swapaxes(before.R[:, 0], -1, -2)
@@ -134,15 +131,16 @@ def _propose_steps(
         *((T[:3, :3] @ R, se3.transform(T, centre)) for T in carried),
         *((r, centre) for r in turned),
     ]
-    every = Fixed(
-        np.concatenate([r for r, _ in places]), np.concatenate([c for _, c in places]),
-        np.tile(np.log(here.scale), len(places)), 1,
-    )  # fmt: skip
+    R, centre = (np.concatenate(part) for part in zip(*places, strict=True))
+    every = Fixed(R, centre, np.tile(np.log(here.scale), len(places)), 1)
     return Frozen(Soft(every, np.zeros((len(every.R), 1, 6)), PROPOSAL_RIDGE)), np.tile(np.arange(n), len(places))
 
 
 def _pose_embedding(about: Float[ndarray, "4 4"], poses: PosesInHand) -> Float[ndarray, "M 12"]:
-    """Poses as points, as far apart as surfaces are, root mean square [m]; ``about``: ``vertex_moments`` of the vertices."""
+    """Embed poses as points whose distances are those of the surfaces, root mean square [m].
+
+    ``about``: ``vertex_moments`` of the vertices.
+    """
     arm = poses.scale[:, None, None] * about[:, :3] @ np.swapaxes(poses.R[:, 0], -1, -2)
     return np.asarray((arm + about[:, 3:] * poses.centre[:, :1]).reshape(-1, 12))
 
@@ -150,7 +148,7 @@ def _pose_embedding(about: Float[ndarray, "4 4"], poses: PosesInHand) -> Float[n
 def _select_distinct_paths(
     spots: Float[ndarray, "M 12"], cost: Float[ndarray, "M"], start: Int[ndarray, "M"], keep: int, same: float
 ) -> Int[ndarray, "P"]:
-    """Return the ``keep`` cheapest of each start, near-copies of a cheaper one left out, cheapest first."""
+    """Choose the ``keep`` cheapest paths of each start, cheapest first, without near-duplicates of a cheaper one."""
     chosen: dict[int, list[int]] = {}
     order: list[int] = []
     for m in np.argsort(cost, kind="stable"):

@@ -1,15 +1,11 @@
-"""The object between two segments: followed from both of them, and fitted to each frame's mask.
+"""The object's motion over a timeline, filled in segment by segment: the frames between segments, the depth of grasps.
 
-The motions from the one, from the other and a blend of both are fitted; that of the least energy is taken. A blend of
-two that disagree, as where a box was turned over unseen, is no motion.
+Between two segments the object is tracked from both. Both motions, and a blend of the best of each, are fitted to the
+masks, and the one of least energy is taken; a blend of motions that disagree (a box turned over unseen) is implausible.
 
-An object's motion over a timeline, as it is filled in.
-
-A grasp's object as far away as its masks say, and the hand with it.
-
-One image hardly tells how far away a hand is: from frame to frame its depth errs by a centimetre, and so does an object
-that goes with it. The size of the object's masks, and a motion that does not jump, know better. The hand goes along the
-camera's ray as far as the object does, so that contact stays.
+A hand's depth jitters by about a centimetre from frame to frame, and with it a grasped object. The mask's size and a
+smooth motion determine depth better. The hand is moved along the camera's ray as far as the object, so that contact
+remains.
 """
 
 from __future__ import annotations
@@ -35,20 +31,37 @@ from getagrip.timelines.observations import Hypotheses, TimelineInputs
 from getagrip.timelines.segments import GraspTrack
 from getagrip.timelines.tracking import track_hypotheses
 
+WORLD_SMOOTHNESS_WEIGHT = 2e5
+"""Energy of a surface's motion between frames, in the world [px^2 / m^2]: 20 px^2 for a centimetre."""
+GAP_FIT_STAGES = ((128, 6), (256, 4))
+"""Resolution [px] and iterations of each stage."""
+REFERENCE_DEPTH_JITTER_M, MIN_DEPTH_JITTER_M = 0.01, 0.001
+"""Depth jitter at which ``HINGE_DEVIATION_RIDGE`` holds, and minimum jitter that is corrected [m]."""
+MAX_MOTION_CHANGE_M = 0.01
+"""Change of motion between frames above which jitter cannot be estimated [m]."""
+HINGE_DEVIATION_RIDGE = (1e5, 1e4)
+"""Stiffness of a frame's deviation from the hinge in the hand [px^2 per m^2, per rad^2]: it keeps hidden parts fixed.
+
+Its multiple is the inverse square of the relative jitter: a steady hand knows depth better than half-hidden masks. It
+grows, too, where masks are met worse than by the object's own mesh (``relative_contour_error``).
+"""
+DEPTH_CORRECTION_STAGES = ((128, 6), (256, 4), (256, 4))
+"""Resolution [px] and iterations of each stage; the contour error is known before the last."""
+
 
 @dataclass
 class TimelineMotion:
-    """An object's motion over a clip, as it is filled in; frames that are not yet known are NaN.
+    """The motion of an object over a clip; poses are NaN until their frame is filled.
 
     Attributes:
-        side: of the clip's own hand.
-        centre: (3,) of the mesh, in its own frame.
+        side: side of the clip's own hand.
+        centre: (3,) centre of the mesh, in its own frame [m].
         T_world_cam: (T, 4, 4) poses of the camera.
-        shown: (T,) the frames whose masks show the object.
+        shown: (T,) frames whose masks show the object.
         T_cam_obj: (T, 4, 4) poses of the mesh's own frame in the camera frame.
-        T_cam_hands: (T, 4, 4) poses of each known hand, by its side, corrected in its grasps.
-        kind: how each frame's pose was found.
-        grasps: the grasps that were solved as such, by their segment's first frame.
+        T_cam_hands: (T, 4, 4) poses of each known hand, by side, corrected in its grasps.
+        kind: origin of each frame's pose.
+        grasps: the solved grasps, by the first frame of their segment.
     """
 
     side: Side
@@ -62,15 +75,14 @@ class TimelineMotion:
 
     @staticmethod
     def of(clip: Clip, shown: Bool[ndarray, "T"]) -> TimelineMotion:
-        """Make a motion of which nothing is known yet."""
+        """Make a motion without any known pose."""
         assert clip.world is not None
         T = len(clip)
         hands = {clip.side: clip.hand.T_cam_hand.copy()}
         if clip.other_hand is not None:
             hands[clip.other_side] = clip.other_hand.track.T_cam_hand.copy()
-        unknown: list[FrameKind] = ["interpolated"] * T
         where = clip.side, clip.mesh.centre, clip.world.T_world_cam, shown
-        return TimelineMotion(*where, np.full((T, 4, 4), np.nan), hands, unknown)
+        return TimelineMotion(*where, np.full((T, 4, 4), np.nan), hands, ["interpolated"] * T)
 
     @property
     def T_cam_hand(self) -> Float[ndarray, "T 4 4"]:
@@ -79,17 +91,17 @@ class TimelineMotion:
 
     @property
     def T_cam_other_hand(self) -> Float[ndarray, "T 4 4"] | None:
-        """Poses of the other hand; None where it is not known."""
+        """Poses of the other hand; None where it is unknown."""
         return next((T for side, T in self.T_cam_hands.items() if side != self.side), None)
 
     def put(self, rows: Int[ndarray, "n"], found: Hypotheses, kind: FrameKind) -> None:
-        """Put the first hypothesis into some frames; of ``kind`` where the object is visible."""
+        """Put the first hypothesis into ``rows``; frames that show the object get this ``kind``."""
         self.T_cam_obj[rows] = se3.inverse(self.T_world_cam[rows]) @ found.T_world_obj(self.centre)[0]
         for row in rows[self.shown[rows]]:
             self.kind[row] = kind
 
     def put_grasp(self, found: GraspTrack) -> None:
-        """Put a grasp into its frames, with its hand."""
+        """Put a grasp and its hand into the grasp's frames."""
         grasp, track = found.solutions.grasp, found.track
         self.T_cam_obj[grasp.rows] = track.T_cam_hand @ track.T_hand_obj[0]
         self.T_cam_hands[grasp.clip.side][grasp.rows] = track.T_cam_hand
@@ -98,47 +110,41 @@ class TimelineMotion:
         self.grasps[grasp.segment.first] = found
 
     def places(self, rows: Int[ndarray, "n"]) -> Float[ndarray, "n 3"]:
-        """Return the positions of the mesh's centre before the camera, in some frames [m]."""
+        """Return the mesh's centre in the camera frame, at ``rows`` [m]."""
         return np.asarray(se3.transform(self.T_cam_obj[rows], self.centre[None])[:, 0])
 
     def at(self, row: int) -> Hypotheses:
-        """Return the pose of one frame, in the world."""
+        """Return the hypothesis of one frame's pose."""
         return Hypotheses.of_pose(self.T_world_cam[row] @ self.T_cam_obj[row], self.centre)
 
 
 def split_at_gaps(segment: Segment, rows: Int[ndarray, "n"]) -> list[Segment]:
-    """Split a segment into the parts that have no gaps: some of its frames, which rise."""
+    """Split a segment into one segment per run of ``rows``: ascending indices of some of its frames."""
     parts = np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1)
     return [replace(segment, first=int(part[0]), last=int(part[-1])) for part in parts]
 
 
-WORLD_SMOOTHNESS_WEIGHT = 2e5
-"""Energy of a surface that moves from one frame to the next [px^2 / m^2]: 20 for a centimetre."""
-GAP_FIT_STAGES = ((128, 6), (256, 4))
-"""Resolution [px] and iterations."""
-
-
 def world_smoothness_term(problem: Problem) -> TermInFrame:
-    """Make the term by which the object's surface moves little in the world from each of the frames to the next."""
+    """Make the term that penalises motion of the object's surface in the world between consecutive frames."""
     mesh, world = problem.clip.mesh, problem.clip.world
     assert world is not None
-    return TermInFrame(
-        SmoothnessTerm(vertex_moments(mesh.vertices - mesh.centre), WORLD_SMOOTHNESS_WEIGHT), world.T_world_cam
-    )
+    smoothness = SmoothnessTerm(vertex_moments(mesh.vertices - mesh.centre), WORLD_SMOOTHNESS_WEIGHT)
+    return TermInFrame(smoothness, world.T_world_cam)
 
 
 def fill_gaps(motion: TimelineMotion, footage: TimelineInputs, known: list[Segment]) -> None:
-    """Fill the frames between segments that are known, and before and after them."""
+    """Fill the frames before, between and after the ``known`` segments."""
     edges = [(None, known[0]), *itertools.pairwise(known), (known[-1], None)]
     for one, other in edges:
         rows = np.arange(0 if one is None else one.last + 1, len(footage) if other is None else other.first)
         if not len(rows):
             continue
-        ahead = None if one is None else track_hypotheses(footage, one.last, rows, motion.at(one.last)).found
-        behind = (
-            None if other is None else track_hypotheses(footage, other.first, rows[::-1], motion.at(other.first)).found
-        )
-        behind = behind and behind.at(np.arange(len(rows))[::-1])
+        ahead = behind = None
+        if one is not None:
+            ahead = track_hypotheses(footage, one.last, rows, motion.at(one.last)).found
+        if other is not None:
+            behind = track_hypotheses(footage, other.first, rows[::-1], motion.at(other.first)).found
+            behind = behind.at(np.arange(len(rows))[::-1])
         found, shown = _candidate_motions(ahead, behind), footage.shown[rows]
         if shown.sum() > 1:
             found = _fit_smooth_motion(footage.problem(rows[shown]), np.flatnonzero(shown), found)
@@ -148,7 +154,7 @@ def fill_gaps(motion: TimelineMotion, footage: TimelineInputs, known: list[Segme
 
 
 def _candidate_motions(ahead: Hypotheses | None, behind: Hypotheses | None) -> Hypotheses:
-    """Return the motions that are known; of two, the blend of the best as well."""
+    """Return all tracked motions; of two, also the blend of the best of each."""
     if ahead is None or behind is None:
         start = ahead or behind
         assert start is not None
@@ -158,7 +164,7 @@ def _candidate_motions(ahead: Hypotheses | None, behind: Hypotheses | None) -> H
 
 
 def _blend_motions(ahead: Hypotheses, behind: Hypotheses) -> Hypotheses:
-    """From the one to the other, evenly in time: rotations along the shortest path, centres on a line."""
+    """Blend two motions linearly in time: rotations along the shortest path, centres along a line."""
     n = ahead.R.shape[1]
     share = (np.arange(n) + 1.0)[:, None] / (n + 1)
     turn = se3.log_so3(behind.R @ np.swapaxes(ahead.R, -1, -2))
@@ -167,7 +173,7 @@ def _blend_motions(ahead: Hypotheses, behind: Hypotheses) -> Hypotheses:
 
 
 def _fit_smooth_motion(problem: Problem, at: Int[ndarray, "m"], start: Hypotheses) -> Hypotheses:
-    """Fit the best smooth motion near these that meets the masks; the problem is at the frames ``at`` of theirs."""
+    """Fit smooth motions to the masks, from ``start``; return the best. The problem holds the frames ``at``."""
     world = problem.clip.world
     assert world is not None
     motion = Free(start.R[:, at], start.centre[:, at], np.log(start.scale))
@@ -182,24 +188,10 @@ def _fit_smooth_motion(problem: Problem, at: Int[ndarray, "m"], start: Hypothese
     return Hypotheses(R, centre, start.scale, found.energy).take(np.array([np.argmin(found.energy)]))
 
 
-REFERENCE_DEPTH_JITTER_M, MIN_DEPTH_JITTER_M = 0.01, 0.001
-"""Jitter of depth at which deviations are as stiff as ``HINGE_DEVIATION_RIDGE`` says, and below which nothing moves [m]."""
-MAX_MOTION_CHANGE_M = 0.01
-"""Motion that changes by more between frames: they are too far apart to tell it from jitter [m]."""
-HINGE_DEVIATION_RIDGE = (1e5, 1e4)
-"""Stiffness of a frame's deviation from the hinge in the hand [px^2 per m^2, per rad^2]: what is hidden stays there.
-
-It is more where the hand jitters less, by the square: such a hand is right about depth, which masks that are half
-hidden may not tell. Where the masks are met worse than the object's own mesh would, it is stiffer (``relative_contour_error``).
-"""
-DEPTH_CORRECTION_STAGES = ((128, 6), (256, 4), (256, 4))
-"""Resolution [px] and iterations; before the last, it is known how well masks are met."""
-
-
 def correct_depth(motion: TimelineMotion, problem: Problem, seen: Int[ndarray, "n"], side: Side, jitter: float) -> None:
-    """Move object and hand of ``side`` in the frames of a grasp that show the object, which the problem is at.
+    """Move the object, and the hand of ``side``, to the masks' depth, in the problem's frames ``seen``.
 
-    ``jitter`` is that of their depth [m].
+    ``jitter`` is the estimated depth jitter [m].
     """
     before, centre, everywhere = motion.places(seen), motion.centre, np.arange(len(seen))
     times = max(1.0, REFERENCE_DEPTH_JITTER_M / jitter) ** 2
@@ -222,12 +214,10 @@ def correct_depth(motion: TimelineMotion, problem: Problem, seen: Int[ndarray, "
 
 
 def depth_jitter(places: Float[ndarray, "n 3"]) -> float:
-    """Estimate the standard deviation of errors of depth that differ between frames [m].
+    """Estimate the standard deviation of frame-to-frame errors in depth [m]; 0 for fewer than 3 frames.
 
-    Places are in the camera frame.
-
-    Second differences show errors that remember a tenth of a second nearly in full. Motion has its share in them, which
-    is as large across the ray: what they have along the ray beyond that is jitter. 0 for fewer than 3 frames.
+    ``places`` are positions in the camera frame. Second differences show errors with a memory of a tenth of a second
+    nearly in full. They contain the motion, too, which is as large across the ray: the excess along the ray is jitter.
     """
     if len(places) < 3:
         return 0.0

@@ -1,10 +1,10 @@
-"""The variants that a benchmark of timelines compares: without joining segments, the authors' propagation, and ours.
+"""Variants that the timeline benchmark compares: segments by themselves, the authors' propagation, and joint solutions.
 
-Propagation after the authors' later code (objects-along-hit): it starts at the longest static segment, goes back to the
-first, on to the last and back again. Each segment is fitted with one more start, the pose of the segment visited before
-it where the two are nearest in time, and keeps the fit with the highest mean IOU over its visits. Static: one pose,
-E_mask. Grasp or contact: a free pose per frame, with contact consistency. So it can only gain IOU by propagating, by
-construction; the weight of its links is 0. Search, optimiser and hand correction are ours.
+Propagation follows the authors' later code (objects-along-hit). It starts at the longest static segment, goes back to
+the first segment, on to the last and back again. Each visit adds a start pose, that of the previously visited segment
+at the nearest frame, and a segment keeps the visit with the highest mean IOU. Static segments: one pose, E_mask. Grasps
+and contacts: a free pose per frame, with contact consistency. By construction propagation can only gain IOU; the weight
+of its links is 0. Search, optimiser and hand correction are ours.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from getagrip.timelines.transitions import TimelineMotion, fill_gaps, split_at_g
 def fit_grasps_only(footage: TimelineInputs) -> TimelineMotion:
     """Fit each grasp by itself.
 
-    Static poses are those of the nearest frame of a grasp; elsewhere, the object goes with the hand. Raises
+    Static poses are copied from the nearest frame of a grasp; in other frames the object moves with the hand. Raises
     ``InputError`` where no grasp shows the object.
     """
     motion, known = TimelineMotion.of(footage.clip, footage.shown), list[Segment]()
@@ -50,7 +50,10 @@ def fit_grasps_only(footage: TimelineInputs) -> TimelineMotion:
 
 
 def fit_static_only(footage: TimelineInputs) -> TimelineMotion:
-    """Fit each static segment by itself; elsewhere, the object goes with the hand. Raises ``InputError`` likewise."""
+    """Fit each static segment by itself; in other frames the object moves with the hand.
+
+    Raises ``InputError`` where no static segment shows the object.
+    """
     motion, known = TimelineMotion.of(footage.clip, footage.shown), []
     for segment in footage.clip.segments:
         if segment.state == "static" and len(rows := select_static_frames(segment, footage.shown)):
@@ -62,7 +65,7 @@ def fit_static_only(footage: TimelineInputs) -> TimelineMotion:
 
 
 def _carry_to_unknown_frames(motion: TimelineMotion, footage: TimelineInputs, known: list[Segment]) -> None:
-    """Frames of no known segment from the nearest frame of one: with the hand, or in the world while it is static."""
+    """Copy each unknown frame's pose from the nearest known frame: fixed in the hand, or in the world while static."""
     if not known:
         raise InputError(footage.clip.origin, "segments", "none that can be solved alone", "one at least")
     there = np.concatenate([segment.rows for segment in known])
@@ -73,24 +76,21 @@ def _carry_to_unknown_frames(motion: TimelineMotion, footage: TimelineInputs, kn
         if row in known_rows:
             continue
         source = int(nearest[row])
-        segment = static.get(row)
-        if segment is not None:  # from where it ends on the side of the source
-            edge = segment.last if source > segment.last else segment.first
-            T_world_obj = _pose_with_hand(motion, footage, source, edge)
-            motion.T_cam_obj[row] = footage.T_cam_world[row] @ T_world_obj
-        else:
-            motion.T_cam_obj[row] = footage.T_cam_world[row] @ _pose_with_hand(motion, footage, source, row)
+        to, segment = row, static.get(row)
+        if segment is not None:  # the border of the static segment on the side of the source
+            to = segment.last if source > segment.last else segment.first
+        motion.T_cam_obj[row] = footage.T_cam_world[row] @ _pose_with_hand(motion, footage, source, to)
 
 
 def _pose_with_hand(motion: TimelineMotion, footage: TimelineInputs, source: int, row: int) -> Float[ndarray, "4 4"]:
-    """Return the object's pose in the world where it moves with the input hand from one frame to another."""
+    """Return the world pose at ``row`` of an object that moves with the input hand from frame ``source``."""
     T_cam_hand = footage.clip.hand.T_cam_hand
     T_hand_obj = se3.inverse(T_cam_hand[source]) @ motion.T_cam_obj[source]
     return np.asarray(footage.T_world_cam[row] @ T_cam_hand[row] @ T_hand_obj)
 
 
 def propagate(footage: TimelineInputs) -> TimelineMotion:
-    """Run the authors' propagation. Raises ``InputError`` where no segment shows the object."""
+    """Solve the timeline by the authors' propagation. Raises ``InputError`` where no segment shows the object."""
     segments = [s for s in footage.clip.segments if footage.shown[s.rows].sum() > 1]
     if not segments:
         raise InputError(footage.clip.origin, "segments", "none", "one at least that shows the object in two frames")
@@ -101,9 +101,8 @@ def propagate(footage: TimelineInputs) -> TimelineMotion:
     motion, best = TimelineMotion.of(footage.clip, footage.shown), dict[int, float]()
     before: int | None = None
     for n in visits:
-        if before is not None and n == before:
-            continue
-        _refit_segment(motion, footage, segments, n, before, best)
+        if n != before:
+            _refit_segment(motion, footage, segments, n, before, best)
         before = n
     fill_gaps(motion, footage, segments)
     return motion
@@ -117,13 +116,11 @@ def _refit_segment(
     before: int | None,
     best: dict[int, float],
 ) -> None:
-    """Fit a segment from the one before it, and keep the fit if none had a higher IOU."""
+    """Fit segment n from the pose of segment ``before``, and keep the fit if its IOU is the highest so far."""
     segment, rows = segments[n], segments[n].rows
     start, kind = None, tuple[FrameKind, ...]()
     if before is not None:
-        one = segments[before]
-        source = one.last if before < n else one.first
-        start = motion.at(source)
+        start = motion.at(segments[before].last if before < n else segments[before].first)
     if segment.state == "static":
         problem = footage.problem(select_static_frames(segment, footage.shown))
         found = static_hypotheses(problem, len(segment), support=False, start=start)
@@ -159,9 +156,9 @@ TIMELINE_VARIANTS: dict[str, Callable[[TimelineInputs], TimelineMotion]] = {
     "joint": lambda footage: fill_all_frames(footage, choose_hypotheses(footage, support=False)),
     "joint + plane": lambda footage: fill_all_frames(footage, choose_hypotheses(footage, support=True)),
 }
-"""The last is what ``getagrip reconstruct`` does."""
+"""By name; ``getagrip reconstruct`` uses the last."""
 
 
 def reconstruct_variant(variant: str, clip: Clip, masks: Masks, options: Options) -> TimelineMotion:
-    """Reconstruct an object's motion in a clip of known scale by a variant. Raises as that variant does."""
+    """Reconstruct the object's motion in a clip of known scale by a variant. Raises the variant's errors."""
     return TIMELINE_VARIANTS[variant](TimelineInputs.of(repair_input(with_masks(clip, masks), options)))

@@ -9,8 +9,7 @@ from typing import ClassVar
 import pytest
 
 from getagrip.batch import engine
-from getagrip.batch.job import Limits
-from getagrip.batch.scheduling import SchedulingOptions, Shard
+from getagrip.batch.scheduling import Limits, SchedulingOptions, Shard
 from getagrip.bench.sources import read_clip_names, sample_clips
 from getagrip.bench.sources.recorded import DexYcb, RecordedSource
 from getagrip.bench.sources.source import ClipFolder
@@ -102,7 +101,7 @@ def test_an_import_is_shared_as_the_call_is_but_for_its_shard(tmp_path: Path, mo
     of_call = SchedulingOptions(
         workers=2, engine="ray", limits=Limits(60.0), shard=Shard(2, 2), ledger=tmp_path, fail_fast=True
     )
-    with pytest.raises(GetagripError, match="shelves: not all could be imported, and --fail-fast ends the call"):
+    with pytest.raises(GetagripError, match="shelves: not all clips could be imported, and --fail-fast ends the call"):
         sample_clips(source, tmp_path / "clips", None, False, of_call)
     assert shares == [SchedulingOptions(workers=2, engine="ray", limits=Limits(60.0), fail_fast=True)]
 

@@ -32,7 +32,7 @@ def made() -> tuple[Clip, Masks]:
     return scene("mug", 2, SHORT)
 
 
-def test_true_joints_are_those_of_the_true_hand_whatever_the_hand_is_given_as(made: tuple[Clip, Masks]) -> None:
+def test_true_joints_are_those_of_the_true_hand_whatever_the_input_hand(made: tuple[Clip, Masks]) -> None:
     clip, masks = made
     assert clip.hand.joints is not None
     exact = se3.transform(clip.hand.T_cam_hand, clip.hand.joints)

@@ -37,24 +37,18 @@ def test_an_object_is_placed_in_its_box(seed: int) -> None:
 def joint_scene(seed: int = 0) -> tuple[JointEnergy, RigidBodies]:
     """Object and hand near each other, the hand a little off where it was given; all terms but the mask."""
     rng = np.random.default_rng(seed)
-    input_hand = se3.rigid(
-        se3.exp_so3(rng.normal(size=(N, 3))), np.array([0.0, 0.0, 0.5]) + rng.normal(0.0, 0.01, (N, 3))
-    )
+    R_hand, away = se3.exp_so3(rng.normal(size=(N, 3))), np.array([0.0, 0.0, 0.5])
+    input_hand = se3.rigid(R_hand, away + rng.normal(0.0, 0.01, (N, 3)))
     grip = rng.normal(0.0, 0.01, (N, 3))
-    points = np.array([0.0, 0.0, 0.5]) + rng.normal(0.0, 0.03, (N, 26, 3))
+    points = away + rng.normal(0.0, 0.03, (N, 26, 3))
     contacts, weight = HandContacts(points, np.arange(0, 24, 4)), np.full(N, 1e5)
     body = build_contact_grid(BOX, BOX.centre)
+    push, pull = PushTerm(body, contacts, weight, delta=1e-9), PullTerm(body, contacts, weight, 0.01, delta=1e-9)
+    hand_smooth = SmoothnessTerm(vertex_moments(points[0] - points[0].mean(0)), 1e5)
     energy = JointEnergy(
         object_in_camera=[SmoothnessTerm(vertex_moments(BOX.vertices), 1e5)],
-        hand_in_camera=[
-            some_term("reprojection", rng),
-            SmoothnessTerm(vertex_moments(points[0] - points[0].mean(0)), 1e5),
-        ],
-        object_in_hand=[
-            PushTerm(body, contacts, weight, delta=1e-9),
-            PullTerm(body, contacts, weight, 0.01, delta=1e-9),
-            some_term("interaction", rng),
-        ],
+        hand_in_camera=[some_term("reprojection", rng), hand_smooth],
+        object_in_hand=[push, pull, some_term("interaction", rng)],
         T_cam_hand=input_hand,
     )
     hand_centre = se3.transform(input_hand, grip[:, None])[:, 0]
@@ -101,9 +95,7 @@ def test_an_unmoved_hand_holds_the_object_where_the_camera_sees_it() -> None:
     energy, bodies = joint_scene(2)
     input_hand = energy.T_cam_hand
     same = replace(
-        bodies,
-        hand_R=input_hand[:, :3, :3],
-        hand_centre=se3.transform(input_hand, bodies.grip[:, None])[:, 0],
+        bodies, hand_R=input_hand[:, :3, :3], hand_centre=se3.transform(input_hand, bodies.grip[:, None])[:, 0]
     )
     np.testing.assert_allclose(same.T_cam_hand, input_hand, atol=1e-12)
     held = same.in_hand()

@@ -160,7 +160,7 @@ def test_single_frames_know_nothing_of_each_other(monkeypatch: pytest.MonkeyPatc
     energy = paper.paper_energy(problem)
     start = single_frame.initial_of_frame(problem, 3)
     alone = paper.choose_solutions(
-        problem, paper.every_start(problem, start, energy, lambda _: None, np.array([3])), np.array([3])
+        problem, paper.fit_every_start(problem, start, energy, lambda _: None, np.array([3])), np.array([3])
     )
     np.testing.assert_array_equal(alone.motion.R[0], whole.poses.R[0, 3])
 
@@ -205,7 +205,9 @@ def test_the_iou_by_which_is_chosen_is_the_metrics(monkeypatch: pytest.MonkeyPat
 def test_the_best_iou_is_chosen_not_the_least_energy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paper, "PAPER_ITERATIONS", 5)
     problem = small_problem(Options(method="paper", inits=8))
-    found = paper.every_start(problem, paper.make_initial_poses(problem), paper.paper_energy(problem), lambda _: None)
+    found = paper.fit_every_start(
+        problem, paper.make_initial_poses(problem), paper.paper_energy(problem), lambda _: None
+    )
     all_poses, best = (
         poses_in_camera(one.motion, problem.clip.hand.T_cam_hand)
         for one in (found, paper.choose_solutions(problem, found))

@@ -31,7 +31,7 @@ def test_results_have_an_axis_where_the_table_says_so(name: str, monkeypatch: py
 
 
 @pytest.mark.slow
-def test_a_method_of_ones_own_is_used_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_users_method_is_used_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
     stages = []
 
     def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
@@ -45,7 +45,7 @@ def test_a_method_of_ones_own_is_used_by_its_name(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.slow
-def test_a_term_of_ones_own_counts_in_all_stages(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_users_term_counts_in_all_stages(monkeypatch: pytest.MonkeyPatch) -> None:
     """The object is drawn to a place, the more the heavier the term."""
     clip, masks = small_clip()
     place = clip.hand.T_cam_hand[:, :3, 3] + [0.0, 0.03, 0.0]

@@ -18,12 +18,13 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import files
 from getagrip.metrics import evaluate as ev
-from getagrip.metrics.contact import CONTACT_DEFINITIONS, CONTACT_SIDES
-from getagrip.metrics.evaluate.metric import ADD_MM, IOU, METRICS
+from getagrip.metrics.contact import CONTACT_DEFINITIONS, CONTACT_SIDES, ContactDefinition
+from getagrip.metrics.evaluate import evaluate
+from getagrip.metrics.evaluate.metric import ADD_MM, IOU, METRICS, SCA
 from getagrip.report.pictures.result_view import View
-from getagrip.result import write_result
+from getagrip.result import SegmentResult, write_result
 from getagrip.synthetic import objects
-from helpers.scenes import FRAMES, perfect, same, written
+from helpers.scenes import FRAMES, by_other_hand, perfect, same, timeline, written
 
 CAM = {"add_success": "add_cam_success", "add_sym_mm": "add_sym_cam_mm", "add_sym_success": "add_sym_cam_success"}
 """Metrics of the object in the hand, and the same in the camera."""
@@ -91,7 +92,6 @@ def test_very_large_meshes_are_measured_with_fewer_faces(
 
 def test_nothing_but_masks_depends_on_where_the_camera_stands(scene: tuple[Clip, Masks]) -> None:
     clip, _ = scene
-    assert clip.truth is not None
     G = se3.rigid(se3.exp_so3(np.array([0.3, -1.0, 2.0])), np.array([0.1, 0.2, 0.3]))
     hand = replace(clip.hand, T_cam_hand=G @ clip.hand.T_cam_hand)
     truth = replace(clip.truth, T_cam_hand=G @ clip.truth.T_cam_hand, T_cam_obj=G @ clip.truth.T_cam_obj)
@@ -283,3 +283,25 @@ def test_the_table_says_which_numbers_need_ground_truth(scene: tuple[Clip, Masks
     needing = {metric.key(d) for metric in METRICS.values() for d in CONTACT_DEFINITIONS if metric.needs_truth}
     assert known - blind == known & needing
     assert blind == known - needing
+
+
+ANY = SegmentResult(state="grasp", first="0", last="1")
+CONTACT = ContactDefinition("object", 0.010)
+
+
+def test_a_grasp_in_a_timeline_counts_as_by_itself() -> None:
+    clip, _ = timeline()
+    result = replace(perfect(clip), segments=(ANY,))
+    rows = clip.segments[2].rows
+    whole = evaluate(result, clip, None, [CONTACT], [SCA])
+    alone = evaluate(replace(result.take(rows), segments=()), clip, None, [CONTACT], [SCA])
+    assert whole.metrics_of_grasps == pytest.approx(alone.metrics)
+    assert whole.metrics[SCA.key(CONTACT)] < 0.5 * alone.metrics[SCA.key(CONTACT)]
+
+
+def test_a_grasp_of_the_other_hand_is_measured_with_it() -> None:
+    (own, _), (other, _) = timeline(), by_other_hand()
+    known = own.segments[2].rows[other.hand_known("right")[own.segments[2].rows]]
+    expected = evaluate(replace(perfect(own).take(known), segments=()), own, None, [CONTACT], [SCA]).metrics
+    whole = evaluate(replace(perfect(other), segments=(ANY,)), other, None, [CONTACT], [SCA])
+    assert whole.metrics_of_grasps == pytest.approx(expected) != whole.metrics

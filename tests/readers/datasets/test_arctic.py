@@ -1,8 +1,4 @@
-"""The ARCTIC reader: on small files of its layout, with known answers, and on broken ones.
-
-Of the real files it has met the hands' and the objects' (``test_real_hands_and_objects``), not the cameras' nor the
-templates.
-"""
+"""The ARCTIC reader, on small files of its layout with known answers, and on broken files; the part that turns."""
 
 from __future__ import annotations
 
@@ -12,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from getagrip.batch.import_dataset import import_clips
 from getagrip.clip import read_clip, read_masks, write_clip
@@ -20,7 +17,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.rasterize import depth_and_face
 from getagrip.readers.datasets import arctic, cutting, tracks
-from getagrip.readers.datasets.arctic import Arctic
+from getagrip.readers.datasets.arctic import Arctic, read_template
 from getagrip.stable_grasps.definition import Definition, GraspOptions
 from getagrip.stable_grasps.find import CutRules, segment
 from helpers.environment import Run, folder_of
@@ -263,7 +260,7 @@ def test_broken_cameras_are_named(root: Path, mano: Path, key: str, value: Any) 
         ("meta/misc.json", b'{"s01": {"image_size": [[2800, 2000]], "ioi_offset": 0}}', "s01.image_size"),
         ("meta/misc.json", b'{"s01": {"image_size": [[2800], [1, 2]], "ioi_offset": 0}}', "s01.image_size"),
         ("meta/object_vtemplates/ball/parts.json", b"[0, 1]", "2 numbers"),
-        ("meta/object_vtemplates/ball/parts.json", b"[0, [", "no JSON"),
+        ("meta/object_vtemplates/ball/parts.json", b"[0, [", "invalid JSON"),
         ("meta/object_vtemplates/ball/mesh.obj", b"v 1 2", "line 1"),
         ("meta/object_vtemplates/ball/mesh.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3", "0.001 m large"),
     ],
@@ -305,8 +302,47 @@ def test_real_hands_and_objects(folder: Path, mano: Path) -> None:
     assert poses.shape[1] == 7
     hands = rsc / "mano_double" / file.parent.name / file.name.replace(".object.", ".mano.")
     T_cam_world = np.tile(np.eye(4), (len(poses), 1, 1))
-    read = arctic._read_arctic_hands(hands, mano, T_cam_world, len(poses))
+    read = arctic._read_hands(hands, mano, T_cam_world, len(poses))
     joints = np.load(rsc / "mano_double" / "ee" / file.parent.name / file.name.replace(".object.npy", "_r.npy"))
     right = np.arange(3, 32 * (len(poses) // 32))
     wrists = read["right"].T_cam_hand[right] @ np.append(posed(mano, "right")[0].model.joints[0], 1.0)
     assert np.median(np.linalg.norm(wrists[:, :3] - joints[right, 0], axis=1)) < 0.02  # of another hand's shape
+
+
+def box_template(folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """A box with a lid [mm], as ARCTIC has its templates; its vertices and which are the lid's."""
+    lid = trimesh.creation.box((120.0, 90.0, 30.0))
+    base = trimesh.creation.box((120.0, 90.0, 60.0))
+    lid.apply_translation((0.0, 0.0, 60.0))
+    joined = trimesh.Trimesh(
+        np.concatenate([base.vertices, lid.vertices]),
+        np.concatenate([base.faces, lid.faces + len(base.vertices)]),
+        process=False,
+    )
+    top = np.arange(len(joined.vertices)) >= len(base.vertices)
+    folder.mkdir(exist_ok=True)
+    for name, mesh in (("mesh", joined), ("top", lid), ("bottom", base)):
+        mesh.export(folder / f"{name}.obj")
+    (folder / "parts.json").write_text(json.dumps(np.where(top, 0, 1).tolist()))
+    return np.asarray(joined.vertices), top
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_part_0_turns_as_in_arctics_own_code(tmp_path: Path, beside: bool) -> None:
+    vertices, top = box_template(tmp_path)
+    if not beside:
+        (tmp_path / "top.obj").unlink()
+    template, angle = read_template(tmp_path), np.radians(60.0)
+    k, x = np.array([0.0, 0.0, -1.0]), vertices / 1000.0  # Rodrigues about k
+    turned = x * np.cos(angle) + np.cross(k, x) * np.sin(angle) + np.outer(x @ k, k) * (1.0 - np.cos(angle))
+    found = se3.transform(
+        se3.inverse(template.T_neutral_template), template.joint.at(template.mesh.vertices, np.array([angle]))[0]
+    )
+    np.testing.assert_allclose(found, np.where(top[:, None], turned, x), atol=1e-6)
+
+
+def test_numbers_against_the_parts_meshes_are_refused(tmp_path: Path) -> None:
+    _, top = box_template(tmp_path)
+    (tmp_path / "parts.json").write_text(json.dumps(np.where(top, 1, 0).tolist()))
+    with pytest.raises(InputError, match=r"parts\.json.*top\.obj and bottom\.obj"):
+        read_template(tmp_path)

@@ -169,8 +169,11 @@ def test_every_command_takes_the_same_list(tmp_path: Path, run: Run) -> None:
     assert {(one.sequence, one.first, one.last) for found in grasps for one in found} == {(NAME, "00047", "00067")}
     # The contact is that of whoever read the list: an importer's (here ARCTIC's), or the command's options.
     assert grasp_lists.read_cut(lists_made[0]) == {
-        "list": "marked.json", "sha256": grasp_lists.read_listed_grasps(marked).sha256, "contact": 0.0, "points": "vertices",
-    }  # fmt: skip
+        "list": "marked.json",
+        "sha256": grasp_lists.read_listed_grasps(marked).sha256,
+        "contact": 0.0,
+        "points": "vertices",
+    }
     assert ClipFolder(folder=tmp_path / "clips").contact_mm == 0.0
     # What one of them wrote, the others read.
     again = OneTrack(grasps=GraspOptions(listed=tmp_path / "segment" / "segments.csv"))

@@ -1,14 +1,21 @@
-"""The HOT3D reader: on a synthetic recording, and on broken ones."""
+"""The HOT3D reader, on a synthetic recording, on broken files, and on HOT3D's sample files."""
+
+from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from getagrip.cli import main
+from getagrip.clip import FINGERS, Clip, read_clip, read_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.rasterize import depth_and_face
+from getagrip.metrics.evaluate import evaluate_result
 from getagrip.readers.datasets import cutting
 from getagrip.readers.datasets.dataset import clips
 from getagrip.readers.datasets.hot3d import hot3d_files
@@ -16,6 +23,7 @@ from getagrip.readers.datasets.hot3d.hot3d_clips import HOT3D_GRASP_OPTIONS, Hot
 from getagrip.stable_grasps import grasp_lists
 from getagrip.stable_grasps.definition import Definition
 from getagrip.stable_grasps.find import segment
+from helpers.environment import DATA, needs
 from helpers.hand_object_files import HOLD, HOT3D_FRAMES, HOT3D_NAME, STEP, write_hot3d
 
 
@@ -119,7 +127,7 @@ def test_broken_files_are_named(root, name, old, new):
 
 
 def test_recordings_of_absurd_lengths_are_refused(root, monkeypatch):
-    monkeypatch.setattr(hot3d_files, "MAX_HOT3D_FRAMES", HOT3D_FRAMES - 1)
+    monkeypatch.setattr(hot3d_files, "MAX_SEQUENCE_FRAMES", HOT3D_FRAMES - 1)
     with pytest.raises(InputError, match=r"headset_trajectory\.csv must be 2 to 15.*got 16 frames"):
         list(read(root))
     monkeypatch.setattr(hot3d_files, "MAX_HOT3D_FILE_BYTES", 1000)
@@ -220,8 +228,9 @@ def timelines(path, **changes):
     segments = [(3, 6, "right", "inhand"), (6, 8, None, "scene_dynamic"), (8, 40, "right", "inhand")]
     segments += [(9, 9, "right", "inhand"), (50, 2, "right", "inhand"), (0, 15, "left", "inhand")]
     entry = {
-        "timeline_name": f"{HOT3D_NAME}_red_box_00000_00016", "seq_name": HOT3D_NAME, "cat": "red_box", "total_start": 0,
-        "total_end": HOT3D_FRAMES, "segments": [dict(zip(("st", "ed", "side", "ref"), s, strict=True)) for s in segments],
+        "timeline_name": f"{HOT3D_NAME}_red_box_00000_00016", "seq_name": HOT3D_NAME, "cat": "red_box",
+        "total_start": 0, "total_end": HOT3D_FRAMES,
+        "segments": [dict(zip(("st", "ed", "side", "ref"), s, strict=True)) for s in segments],
     }  # fmt: skip
     path.write_text(json.dumps([entry | changes]))
     return path
@@ -300,3 +309,40 @@ def test_what_is_no_list_is_refused(tmp_path, content):
     (tmp_path / "hit.json").write_bytes(content)
     with pytest.raises(InputError, match=r"hit\.json"):
         grasp_lists.read_listed_grasps(tmp_path / "hit.json")
+
+
+HOT3D = DATA / "hot3d"
+POT = "P0003--c701bd11--coffee_pot--left"
+HOLDS = {POT: 34, "P0003--c701bd11--mug_white--right": 34, "P0002--273c2819--mouse--right": 15}
+"""Frames of a pot lifted to pour, of a mug held still on the table, of a mouse moved about."""
+
+pytestmark = [needs(HOT3D), pytest.mark.slow, pytest.mark.long]
+
+
+def three_fingertips_and_more_are_at_the_object(clip: Clip) -> None:
+    assert read_masks(clip.take(np.arange(0, len(clip), 5))).object.any(axis=(1, 2)).all()
+    assert clip.truth is not None
+    assert clip.truth.scale == 1.0
+    hand = se3.transform(clip.truth.T_cam_hand, clip.truth.hand_vertices)
+    corners = se3.transform(clip.truth.T_cam_obj, clip.mesh.vertices[clip.mesh.faces].mean(axis=1))
+    for n in (0, len(clip) - 1):
+        distance, _ = cKDTree(corners[n]).query(hand[n])
+        pads = [distance[clip.hand.regions[finger]].min() for finger in FINGERS]
+        assert sorted(pads)[2] < 0.008
+
+
+def test_clips_and_results(tmp_path: Path) -> None:
+    """In one test, since reading the samples takes longer than all that is asserted of them."""
+    clips = tmp_path / "clips"
+    assert main(["import", "hot3d", str(HOT3D), "--out", str(clips)]) == 0
+    found = {path.name: read_clip(path) for path in clips.iterdir() if path.is_dir()}
+    assert {name: len(clip) for name, clip in found.items()} == HOLDS
+    for clip in found.values():
+        three_fingertips_and_more_are_at_the_object(clip)
+    for points in ("vertices", "area"):  # the one proper lifted grasp; contact is reliable at 5 mm
+        assert segment(found[POT], Definition(contact=0.005, points=points))[1] == [(0, 33)]
+    quick = ("--workers", "1", "--frames", "12", "--inits", "25", "--sampled-only")
+    assert main(["reconstruct", str(clips / POT), "--out", str(tmp_path / "out"), *quick]) == 0
+    metrics = evaluate_result(tmp_path / "out" / POT, clips).metrics
+    assert metrics["add_success"] == 1.0, metrics["add_mm"]
+    assert metrics["iou_full"] > 0.95

@@ -1,10 +1,11 @@
-"""Hands from HaMeR's files: written by its own formulas from a known hand, they come back as it was."""
+"""HaMeR's and WiLoR's hands: files written by their formulas from a known hand give that hand."""
 
 from __future__ import annotations
 
 import pickle
 import sys
 import types
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,9 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.model import SIDE_MIRROR, Side
 from getagrip.provenance import is_assumed
-from getagrip.readers.trackers import Request, read_tracked_hands
-from getagrip.readers.trackers.hamer import HaMeR
-from helpers.hand_files import FRAMES, SIDES, Known, hamer_record, joints_of, request, write_npz
+from getagrip.readers.trackers import Request, Tracker, read_tracked_hands
+from getagrip.readers.trackers.hamer import HaMeR, WiLoR
+from helpers.hand_files import FRAMES, SIDES, Known, demo_files, hamer_record, joints_of, request, write_npz
 
 
 @pytest.mark.parametrize("with_mano", [True, False])
@@ -154,3 +155,86 @@ def test_one_file_of_many_images(tmp_path: Path) -> None:
     path.write_bytes(pickle.dumps({"/data/video/000010.jpg": records[0]}))
     with pytest.raises(InputError, match=r"no name of a frame \(/data/video/000010.jpg"):
         read_tracked_hands([path], HaMeR(), request("left"))
+
+
+@pytest.mark.parametrize(("tracker", "key"), [(WiLoR(), "wilor_preds"), (HaMeR(), "hamer_preds")])
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.slow
+def test_mini(tmp_path: Path, mano_folder: Path, side: Side, tracker: Tracker, key: str) -> None:
+    """Lists of hands. Rotations are vectors, of left hands turned back already."""
+    known = Known(side, mano_folder)
+    paths = []
+    for n, name in enumerate(FRAMES):
+        full = hamer_record(known, n, "full")
+        inner = {
+            "global_orient": se3.log_so3(known.R[n])[None, None],
+            "hand_pose": known.pose[n].reshape(1, 15, 3),
+            "betas": known.betas[n][None],
+            "pred_cam_t_full": full["pred_cam_t_full"][None],
+            "scaled_focal_length": full["scaled_focal_length"],
+        }
+        path = tmp_path / f"{name}.pkl"
+        path.write_bytes(pickle.dumps([{"is_right": float(side == "right"), key: inner}]))
+        paths.append(path)
+    hands = read_tracked_hands(paths, tracker, request(side, mano_folder))
+    np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.slow
+def test_what_hamers_demo_saves(tmp_path: Path, mano_folder: Path, side: Side) -> None:
+    """Meshes come back as they were, their wrist and joints nearly: what these rest on changes with shape."""
+    known, folder = Known(side, mano_folder), tmp_path / "out_demo"
+    folder.mkdir()
+    for n in range(3):
+        demo_files(folder, known, n)
+    (folder / "000007_0.png").touch()
+    hands = read_tracked_hands([folder], HaMeR(), request(side, mano_folder))
+    assert hands.found == (0, 1, 2)
+    seen = se3.transform(hands.track.T_cam_hand, hands.track.vertices)
+    off = seen - known.vertices
+    assert np.ptp(off, axis=1).max() < 1e-5
+    assert np.abs(off[..., :2]).max() < 1e-4
+    assert np.abs(off[..., 2]).max() < 0.003  # as far as the wrist is off
+    assert np.abs(joints_of(hands) - known.joints).max() < 0.006
+    wilor = read_tracked_hands([folder / "*.obj"], WiLoR(), request(side, mano_folder))
+    np.testing.assert_array_equal(wilor.track.vertices, hands.track.vertices)
+    with pytest.raises(InputError, match=f"no {'left' if side == 'right' else 'right'} hand"):
+        read_tracked_hands([folder], HaMeR(), request("left" if side == "right" else "right", mano_folder))
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_joints_of_hamers_demo(tmp_path: Path, side: Side) -> None:
+    """Without MANO the generic hand is fitted; left hands' joints are turned back, of which the mesh beside tells."""
+    known = Known(side, None)
+    for n in range(3):
+        demo_files(tmp_path, known, n, mesh=False)
+    with pytest.raises(UsageError, match="--save_mesh"):
+        read_tracked_hands([tmp_path], HaMeR(), request(side))
+    stated = read_tracked_hands([tmp_path], HaMeR(joints_of=side), request(side))
+    assert np.abs(joints_of(stated) - known.joints).max() < 0.006  # the generic hand's wrist is not MANO's
+    known.vertices = known.vertices[:, :778]
+    for n in range(3):
+        demo_files(tmp_path, known, n, joints=False)
+    found = read_tracked_hands([tmp_path], HaMeR(), request(side))
+    np.testing.assert_array_equal(joints_of(found), joints_of(stated))
+
+
+def test_damaged_files_of_the_demo(tmp_path: Path, mano_folder: Path, refused: Callable[..., str]) -> None:
+    known = Known("right", mano_folder)
+    demo_files(tmp_path, known, 0)
+    path = tmp_path / "000007_0.obj"
+    text = path.read_text()
+    for bad, words in (
+        (text.replace("f 93 39 235", "f 93 39 236"), "which tells the side"),
+        (text.replace("v ", "v nan ", 1), "NaN"),
+        (text.replace("v ", "v 1 2 3\nv ", 1), "779 vertices"),
+    ):
+        path.write_text(bad)
+        refused(lambda: read_tracked_hands([path], HaMeR(), request("right", mano_folder)), str(path), words)
+    path.write_text(text)
+    with pytest.raises(UsageError, match="--mano"):
+        read_tracked_hands([path], HaMeR(), request("right"))
+    joints = tmp_path / "000007_9_3dkeypoints.npy"  # the second of its batch
+    np.save(joints, known.joints[:1])
+    refused(lambda: read_tracked_hands([joints], HaMeR("right"), request("right")), "1 hands", "hand 9")

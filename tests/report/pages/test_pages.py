@@ -1,4 +1,4 @@
-"""The pages in a real browser, from disk: nothing is asked for, the object is there and moves, names stay text."""
+"""The pages in a real browser, from disk: no request, an object that moves, names that stay text, segments as a bar."""
 
 from __future__ import annotations
 
@@ -14,11 +14,13 @@ import pytest
 from getagrip.cli.report import Report
 from getagrip.clip import OtherHand, input_sha256, write_clip
 from getagrip.geometry import se3
-from getagrip.report.pages import IndexRow, index_row_without_clip, write_index
-from getagrip.result import Axis, Candidates, write_result
+from getagrip.metrics.evaluate import evaluate
+from getagrip.report.pages import IndexRow, index_row_without_clip, write_index, write_page
+from getagrip.report.pictures.result_view import View
+from getagrip.result import Axis, Candidates, SegmentResult, write_result
 from getagrip.result.findings import SUCCESS_DEFINITION, Finding, Probability
 from helpers.annotation import IN_BROWSER, READS_BACK, until
-from helpers.scenes import egg_and_mug, perfect
+from helpers.scenes import COMES, LIES, egg_and_mug, perfect, timeline
 
 pytestmark = IN_BROWSER
 EVIL = "<img src=x onerror=hacked=1><script>hacked=1<"
@@ -234,3 +236,28 @@ def test_an_index_says_no_more_than_there_is(page: Any, tmp_path: Path) -> None:
     )
     page.locator("#flags").select_option("left")
     assert page.inner_text("#facts") == "1 of 3 results, 1 failed, 1 not done, 1 shown."
+
+
+@pytest.mark.slow
+def test_segments_are_a_bar_that_jumps_and_divide_the_curves(browser: Any, tmp_path: Path) -> None:
+    clip, masks = timeline()
+    records = tuple(
+        SegmentResult(state=s.state, first=clip.frames[s.first], last=clip.frames[s.last]) for s in clip.segments
+    )
+    result = replace(perfect(clip), segments=records)
+    path = write_page(View.of(result, clip, masks), evaluate(result, clip, masks), {}, tmp_path / "report.html")
+    page = browser.new_page(viewport={"width": 1200, "height": 900})
+    page.goto(path.as_uri())
+    page.locator("body[data-ready]").wait_for()
+    bar = page.locator("#segments button")
+    assert bar.all_inner_texts() == ["static", "contact, right hand", "grasp, right hand"]
+    boxes = [bar.nth(k).bounding_box() for k in range(3)]
+    frame = (boxes[2]["x"] + boxes[2]["width"] - boxes[0]["x"]) / (len(clip) - 1)
+    for box, frames in zip(boxes, (LIES - 0.5, COMES, len(clip) - LIES - COMES - 0.5), strict=True):
+        assert box["width"] == pytest.approx(frames * frame, abs=1.0)
+    bar.nth(2).click()
+    assert f"{LIES + COMES + 1} of {len(clip)}" in page.inner_text("#frame")
+    plot = page.locator(".plot svg").first
+    assert (plot.locator(".border").count(), plot.locator("rect").count()) == (2, 3)
+    assert "SCA 10 mm, in grasps" in page.locator(".main dt").all_inner_texts()
+    page.close()

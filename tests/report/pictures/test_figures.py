@@ -241,11 +241,7 @@ def test_hands_have_contours_and_the_names_of_folders(made: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "names", "words"),
     [
-        (
-            Methods,
-            ("true", "shifted-hands"),
-            "shifted-hands.* must be those .*got a result of other hands or masks",
-        ),
+        (Methods, ("true", "shifted-hands"), "shifted-hands.* must be those .*got a result of other hands or masks"),
         (Methods, ("true", "cans"), r"cans.*result.json: clip must be 'mug-.*', as of .*true.*got 'can-.*'"),
         (Hands, ("true", "moved"), "must be of one method"),
         (Contact, ("true", "moved"), "must be one for the figure 'contact' .got 2: "),

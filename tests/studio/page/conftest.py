@@ -24,7 +24,7 @@ def context(browser: Any) -> Iterator[Any]:
 
 @pytest.fixture
 def served(scene_video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-    """A video in which a grasp is marked. Masks are carried at a quarter of the size, which is quicker."""
+    """A video in which a grasp is marked. Masks are propagated at a quarter of the size, which is faster."""
     monkeypatch.setattr(propagate_clip, "OBJECT_WORKING_SIZE_PX", 50.0)
     tasks = [Task("scene", "scene", scene_video), Task("another", "another", scene_video)]
     made = Served(tasks, tmp_path / MARKS_DATABASE)

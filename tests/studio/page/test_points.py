@@ -1,14 +1,16 @@
-"""Points in a real browser: joints and polygons are clicked, corrected, reloaded, where the picture shows them."""
+"""Points and strokes in a real browser: clicked, dragged, corrected, reloaded, where the picture shows them."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+import pytest
 
 from helpers.annotation import (
     FIRST_FRAME,
     IN_BROWSER,
+    LAST_FRAME,
     Served,
     click,
     drag,
@@ -22,7 +24,7 @@ from helpers.annotation import (
     saved,
     shows,
 )
-from helpers.labelled_scene import circle, joints
+from helpers.labelled_scene import circle, joints, middle
 
 pytestmark = IN_BROWSER
 
@@ -155,3 +157,21 @@ def test_an_answer_that_comes_late_takes_nothing_back(context: Any, served: Serv
     saved(page)
     (outline,) = kept(served)[FIRST_FRAME].outlines.values()
     assert near(outline["points"], [points[0], half.tolist(), *points[1:]])
+
+
+@pytest.mark.slow
+def test_strokes_are_kept_and_masks_follow_at_once(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    page.keyboard.press("q")
+    x, y = middle(FIRST_FRAME).tolist()
+    drag(page, (x - 20, y), (x + 20, y + 5))
+    expect(page.locator("#fill-state")).to_have_text(f"All {LAST_FRAME - FIRST_FRAME + 1} frames filled in.")
+    expect(page.locator("#layer .draft.object")).to_have_count(1)
+    page.keyboard.press("z")
+    click(page, (x - 90, y))
+    saved(page)
+    shapes = sorted(one["of"] for one in kept(served)[FIRST_FRAME].outlines.values())
+    assert shapes == ["off", "on"]
+    expect(page.locator("#layer .stroke")).to_have_count(2)
+    page.keyboard.press("u")
+    expect(page.locator("#layer .stroke")).to_have_count(1)

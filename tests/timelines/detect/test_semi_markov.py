@@ -1,4 +1,4 @@
-"""The cheapest division, against all divisions there are."""
+"""The cheapest division against all divisions; windows cost what their frames leave unexplained."""
 
 from __future__ import annotations
 
@@ -8,7 +8,16 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 
-from getagrip.timelines.detect.semi_markov import cheapest_division, division_margins
+from getagrip.timelines.detect.grasp_evidence import HingeFit, split_runs
+from getagrip.timelines.detect.image_motion import ImageMotion
+from getagrip.timelines.detect.semi_markov import (
+    MOTION_STATES,
+    STATIC_CONTOUR_SIGMA_PX,
+    best_fit_in_window,
+    cheapest_division,
+    division_margins,
+    window_costs,
+)
 
 Segments = tuple[tuple[int, int, int], ...]
 """First frame, last frame, state of each."""
@@ -64,3 +73,84 @@ def test_what_is_impossible_is_not_found() -> None:
     found = cheapest_division(np.full((2, 4, 4), np.inf))
     assert found.cost == np.inf
     assert len(found.spans) == len(found.states) == 0
+
+
+T, ONSET = 40, 18
+STATIC, HELD, FREE = (MOTION_STATES.index(name) for name in ("static", "held", "free"))
+
+
+def moved(lags: int = 4, speed: float = 2.0) -> ImageMotion:
+    """Nothing moves before ``ONSET``, and from then on each frame does."""
+    at = np.maximum(np.arange(T) - ONSET + 1, 0) * speed
+    displaced = np.full((lags, T), np.nan)
+    for lag in range(1, lags + 1):
+        displaced[lag - 1, lag:] = at[lag:] - at[:-lag]
+    return ImageMotion(displaced, np.zeros((lags, T)))
+
+
+def fit(first: int, last: int, right: slice, frames: np.ndarray | None = None) -> HingeFit:
+    """A fit that is right in some frames, and wrong elsewhere."""
+    frames = np.arange(first, last + 1) if frames is None else frames
+    misfit = np.full(T, 30.0)
+    misfit[right] = 0.8
+    eye = np.tile(np.eye(4), (len(frames), 1, 1))
+    return HingeFit(frames, eye, eye, misfit[frames], np.ones(len(frames)), 1.0, "right")
+
+
+def states(held: list[HingeFit], motion: ImageMotion | None = None) -> list[tuple[int, int, int]]:
+    found = cheapest_division(window_costs(motion or moved(), held))
+    return [(int(a), int(b), int(s)) for (a, b), s in zip(found.spans, found.states, strict=True)]
+
+
+def test_what_moves_without_an_explanation_is_free() -> None:
+    assert states([]) == [(0, ONSET - 1, STATIC), (ONSET, T - 1, FREE)]
+
+
+def test_what_a_fit_explains_is_held() -> None:
+    assert states([fit(0, T - 1, slice(ONSET, None))]) == [(0, ONSET - 1, STATIC), (ONSET, T - 1, HELD)]
+
+
+def test_a_pause_in_the_air_does_not_end_a_hold() -> None:
+    motion = moved()
+    motion.moved[:, 26:34] = 0.0
+    assert states([fit(0, T - 1, slice(ONSET, None))], motion)[1:] == [(ONSET, T - 1, HELD)]
+
+
+def test_two_ways_to_hold_are_two_segments() -> None:
+    fits = [fit(0, T - 1, slice(ONSET, 29)), fit(0, T - 1, slice(29, None))]
+    assert states(fits)[1:] == [(ONSET, 28, HELD), (29, T - 1, HELD)]
+    assert best_fit_in_window(fits, ONSET, 28, 0.0) is fits[0]
+    assert best_fit_in_window(fits, 29, T - 1, 0.0) is fits[1]
+
+
+def test_a_fit_says_nothing_where_it_was_not_tried() -> None:
+    assert states([fit(0, T - 1, slice(ONSET, None), np.arange(ONSET, 31))])[1:] == [
+        (ONSET, 30, HELD),
+        (31, T - 1, FREE),
+    ]
+
+
+def test_frames_that_nobody_knows_cost_nothing() -> None:
+    motion = moved()
+    motion.moved[:] = np.nan
+    cost = window_costs(motion, [])
+    assert cost[STATIC, 0, T - 1] < cost[STATIC, 0, T // 2] + cost[STATIC, T // 2 + 1, T - 1]
+    assert states([], motion) == [(0, T - 1, STATIC)]
+
+
+@pytest.mark.parametrize("jitter", [0.5 * STATIC_CONTOUR_SIGMA_PX, STATIC_CONTOUR_SIGMA_PX])
+def test_jitter_of_masks_is_no_motion(jitter: float) -> None:
+    motion = ImageMotion(np.full((4, T), jitter), np.zeros((4, T)))
+    assert states([], motion) == [(0, T - 1, STATIC)]
+
+
+def test_windows_end_after_they_start() -> None:
+    cost = window_costs(moved(), [fit(0, T - 1, slice(ONSET, None))])
+    below = np.tril(np.ones((T, T), dtype=bool), -1)
+    assert np.isinf(cost[:, below]).all()
+    assert not np.isnan(cost).any()
+
+
+def test_runs_are_cut_into_equal_pieces() -> None:
+    parts = list(split_runs([(3, 5), (10, 29), (40, 139)], longest=60, shortest=6))
+    assert [(part[0], part[-1]) for part in parts] == [(10, 29), (40, 89), (90, 139)]

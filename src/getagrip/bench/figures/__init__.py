@@ -1,7 +1,4 @@
-"""Figures of results.
-
-A new kind is a file here with a subclass of ``FigureKind``, whose fields are its options, and a line in ``FIGURES``.
-"""
+"""Figures of results: one file for each subclass of ``FigureKind``, whose fields are its options; table ``FIGURES``."""
 
 from getagrip.bench.figures.aligned import Aligned
 from getagrip.bench.figures.contact_figure import Contact

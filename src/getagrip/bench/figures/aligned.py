@@ -1,4 +1,4 @@
-"""Frames of a grasp aligned in the hand frame, and in the object's: how the one moves against the other (Fig. 3)."""
+"""Frames of a grasp aligned in the hand frame, and in the object frame, which shows their relative motion (Fig. 3)."""
 
 from __future__ import annotations
 
@@ -48,20 +48,10 @@ if TYPE_CHECKING:
 ALIGNED_FRAME_INCHES, ALIGNED_VIEW_INCHES, ALIGNED_GAP_INCHES = 1.72, 2.16, 0.08
 """Sides of the tiles of frames and of the aligned views, and the gap between them [in]."""
 ANGLE_COLOURS = ("#2f5f8a", "#8662b5", "#cf5f9e", "#e3a21f", "#b8352a")
-"""Colours of the frames drawn, by angle."""
-ALIGNED_PANELS = (
-    "hand fixed, across the axis",
-    "hand fixed, along the axis",
-    "object fixed, across the axis",
-    "object fixed, along the axis",
-)
-AXISLESS_PANELS = (
-    "hand fixed, from the camera",
-    "hand fixed, from the side",
-    "object fixed, from the camera",
-    "object fixed, from the side",
-)
-"""Headings for a result without an axis."""
+"""Colours of frames, by angle."""
+ALIGNED_PANELS = tuple(f"{fixed} fixed, {way} the axis" for fixed in ("hand", "object") for way in ("across", "along"))
+AXISLESS_PANELS = tuple(f"{fixed} fixed, from the {way}" for fixed in ("hand", "object") for way in ("camera", "side"))
+"""Headings of panels, with and without an axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,14 +69,8 @@ class Aligned(FigureKind):
     def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
         view = require_one_result(results, "aligned")
         chosen, colours = self._frames(view)
-        width = (
-            0.25
-            + max(
-                len(chosen) * (ALIGNED_FRAME_INCHES + ALIGNED_GAP_INCHES),
-                4 * (ALIGNED_VIEW_INCHES + ALIGNED_GAP_INCHES),
-            )
-            + 0.17
-        )
+        upper_width = len(chosen) * (ALIGNED_FRAME_INCHES + ALIGNED_GAP_INCHES)
+        width = 0.25 + max(upper_width, 4 * (ALIGNED_VIEW_INCHES + ALIGNED_GAP_INCHES)) + 0.17
         lower = SHEET_TITLE_INCHES + 0.28 + ALIGNED_FRAME_INCHES + 0.5
         sheet = Sheet.of(width, lower + ALIGNED_VIEW_INCHES + 0.45, self.dpi)
         sheet.title(view.clip.name, summarise_view(view))
@@ -106,10 +90,7 @@ class Aligned(FigureKind):
         return sheet.figure
 
     def _frames(self, view: View) -> tuple[Int[ndarray, "n"], list[str]]:
-        """Choose the frames to draw and their colours.
-
-        They are in the order of the angle about the axis or, without one, of time.
-        """
+        """Choose the frames to draw and their colours, in order of the angle about the axis, without one of time."""
         from matplotlib.colors import LinearSegmentedColormap, to_hex
 
         axis, T = view.result.axis, len(view.result.frames)
@@ -123,7 +104,7 @@ class Aligned(FigureKind):
         return chosen, [to_hex(ramp(t)) for t in np.linspace(0.0, 1.0, len(chosen))]
 
     def _as_seen(self, sheet: Sheet, view: View, chosen: Int[ndarray, "n"], colours: Sequence[str]) -> None:
-        """Draw the frames from the camera, each with its angle, framed in its colour."""
+        """Draw the frames from the camera, each with its angle and a border of its colour."""
         axis = view.result.axis
         crops = content_windows([view], chosen, sheet.pixels(ALIGNED_FRAME_INCHES))
         for k, (n, colour) in enumerate(zip(chosen, colours, strict=True)):
@@ -133,37 +114,26 @@ class Aligned(FigureKind):
             draw_border(tile, colour, 2.4)
             turned = 0.0 if axis is None else np.degrees(axis.angle[n] - axis.angle[chosen[0]])
             angle = "" if axis is None else f"{turned:+.1f}°  ·  " if k else "0°  ·  "
-            sheet.text(
-                x, SHEET_TITLE_INCHES + 0.06, f"{angle}frame {view.result.frames[n]}", color=colour, fontweight="bold"
-            )
+            heading = f"{angle}frame {view.result.frames[n]}"
+            sheet.text(x, SHEET_TITLE_INCHES + 0.06, heading, color=colour, fontweight="bold")
 
     def _aligned(
-        self,
-        sheet: Sheet,
-        x: float,
-        top: float,
-        view: View,
-        chosen: Int[ndarray, "n"],
-        colours: Sequence[str],
-        fixed_hand: bool,
-        along: bool,
-    ) -> None:
-        """All frames in one view, in the frame of the hand or of the object in the middle one of them."""
+        self, sheet: Sheet, x: float, top: float, view: View, chosen: Int[ndarray, "n"], colours: Sequence[str],
+        fixed_hand: bool, along: bool,
+    ) -> None:  # fmt: skip
+        """Draw all frames in one view, aligned to the hand or the object of the middle frame."""
         from matplotlib.colors import to_rgb
 
         result, clip = view.result, view.clip
         middle = int(chosen[len(chosen) // 2])
         surfaces = [se3.transform(result.T_hand_obj[n], result.scale * clip.mesh.vertices) for n in chosen]
-        # Where the object is fixed: to the middle frame's hand frame, such that the object is where it is there.
+        # For a fixed object: transforms that move each frame's object to its pose in the middle frame.
         fix = [result.T_hand_obj[middle] @ se3.inverse(result.T_hand_obj[n]) for n in chosen]
         hands = [se3.transform(T, clip.hand.vertices[n]) for T, n in zip(fix, chosen, strict=True)]
-        one = (
-            (clip.hand.vertices[middle], clip.hand.faces)
-            if fixed_hand
-            else (surfaces[len(chosen) // 2], clip.mesh.faces)
-        )
-        many = surfaces if fixed_hand else hands
-        faces = clip.mesh.faces if fixed_hand else clip.hand.faces
+        if fixed_hand:
+            one, many, faces = (clip.hand.vertices[middle], clip.hand.faces), surfaces, clip.mesh.faces
+        else:
+            one, many, faces = (surfaces[len(chosen) // 2], clip.mesh.faces), hands, clip.hand.faces
         eye = _place_camera(view, middle, np.concatenate([one[0], *many]), along, sheet.pixels(ALIGNED_VIEW_INCHES))
         moved = [(se3.transform(eye.T_view_frame, vertices), faces) for vertices in many]
         still = (se3.transform(eye.T_view_frame, one[0]), one[1])
@@ -176,15 +146,14 @@ class Aligned(FigureKind):
         if result.axis is not None:
             line = se3.transform(eye.T_view_frame, axis_points(view))
             if along:
-                tile.plot(
-                    *project(eye.K, line[200:201]).T, "o", color=AXIS_COLOUR, markersize=6, markeredgecolor="white"
-                )
+                dot = project(eye.K, line[200:201]).T
+                tile.plot(*dot, "o", color=AXIS_COLOUR, markersize=6, markeredgecolor="white")
             else:
                 draw_axis_line(tile, line, [still, *moved], eye.K, eye.size)
 
 
 def _place_camera(view: View, middle: int, points: Float[ndarray, "n 3"], along: bool, size: int) -> DistantCamera:
-    """Look across or along the axis, as near to the camera's direction as that allows; up is the camera's."""
+    """Look across or along the axis, as near to the camera's direction as possible; up is the camera's."""
     R = view.clip.hand.T_cam_hand[middle, :3, :3].T  # camera to hand
     camera, up = -R[:, 2], -R[:, 1]
     axis = view.result.axis
@@ -198,15 +167,12 @@ def _place_camera(view: View, middle: int, points: Float[ndarray, "n 3"], along:
 
 
 def _blend_surfaces(
-    still: Surface,
-    moved: Sequence[Surface],
-    whole: tuple[Colour, Colour],
-    colours: Float[ndarray, "n 3"],
+    still: Surface, moved: Sequence[Surface], whole: tuple[Colour, Colour], colours: Float[ndarray, "n 3"],
     eye: DistantCamera,
-) -> UInt8[ndarray, "size size 3"]:
-    """One surface opaque, and over it those that move, blended: in their own colours where they do not agree.
+) -> UInt8[ndarray, "size size 3"]:  # fmt: skip
+    """Render ``still`` opaque, and the ``moved`` surfaces blended over it, in ``colours`` where they disagree.
 
-    ``whole`` is the colour of the one surface, and that of the others where all of them are.
+    ``whole`` are the colours of the still surface, and of the moved ones where all agree.
     """
     fine, size = np.diag([2.0, 2.0, 1.0]) @ eye.K, (2 * eye.size, 2 * eye.size)
     picture = render_rgb([(*still, whole[0])], fine, size, PAPER_RGB).astype(float)

@@ -1,4 +1,4 @@
-"""Contact of hand and object over a grasp, on both surfaces, and the agreement of frames (Fig. 2)."""
+"""Contact of hand and object over a grasp, on both surfaces, and its IOU between frames (Fig. 2)."""
 
 from __future__ import annotations
 
@@ -46,14 +46,9 @@ if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
 
-CONTACT_FRAME_INCHES, CONTACT_SHARE_INCHES, IOU_MATRIX_INCHES, CONTACT_GAP_INCHES, CONTACT_MARGIN_INCHES = (
-    1.32,
-    1.66,
-    3.0,
-    0.06,
-    0.55,
-)
-"""Sides of the tiles of frames, of the tiles of all frames and of the matrix; the gap between them; the margin [in]."""
+CONTACT_FRAME_INCHES, CONTACT_SHARE_INCHES, IOU_MATRIX_INCHES = 1.32, 1.66, 3.0
+"""Sides of the tiles of frames, of the tiles of all frames and of the matrix [in]."""
+CONTACT_GAP_INCHES, CONTACT_MARGIN_INCHES = 0.06, 0.55
 CONTACT_ROW_LABELS = ("on the object", "on the hand")
 CONTACT_VIEW_LABELS = (
     "object, where most contact is",
@@ -82,21 +77,16 @@ class Contact(FigureKind):
         view = require_one_result(results, "contact")
         surfaces = contact_surfaces(view, definition.threshold)
         chosen = evenly_spaced_indices(self.frames, len(view.result.frames))
-        block = max(
-            len(chosen) * (CONTACT_FRAME_INCHES + CONTACT_GAP_INCHES), 4 * (CONTACT_SHARE_INCHES + CONTACT_GAP_INCHES)
-        )
+        frame_step, share_step = CONTACT_FRAME_INCHES + CONTACT_GAP_INCHES, CONTACT_SHARE_INCHES + CONTACT_GAP_INCHES
+        right = CONTACT_MARGIN_INCHES + max(len(chosen) * frame_step, 4 * share_step) + 0.65
         top = SHEET_TITLE_INCHES + 0.24
-        lower = top + 3 * (CONTACT_FRAME_INCHES + CONTACT_GAP_INCHES) + 0.42
-        sheet = Sheet.of(
-            CONTACT_MARGIN_INCHES + block + 0.65 + IOU_MATRIX_INCHES + 0.75,
-            lower + CONTACT_SHARE_INCHES + 0.2,
-            self.dpi,
-        )
+        lower = top + 3 * frame_step + 0.42
+        sheet = Sheet.of(right + IOU_MATRIX_INCHES + 0.75, lower + CONTACT_SHARE_INCHES + 0.2, self.dpi)
         sheet.title(view.clip.name, f"{summarise_view(view)}  ·  contact: within {definition.distance}")
         _draw_contact_frames(sheet, top, view, chosen, surfaces)
         _draw_contact_shares(sheet, lower, surfaces)
-        _draw_iou_matrix(sheet, CONTACT_MARGIN_INCHES + block + 0.65, top, view, definition)
-        _draw_shares_legend(sheet, CONTACT_MARGIN_INCHES + block + 0.65, lower)
+        _draw_iou_matrix(sheet, right, top, view, definition)
+        _draw_shares_legend(sheet, right, lower)
         return sheet.figure
 
 
@@ -106,34 +96,28 @@ def _draw_contact_frames(
     """Draw some frames: the result from the camera, and the contact."""
     crops = content_windows([view], np.array(chosen), sheet.pixels(CONTACT_FRAME_INCHES))
     for k, n in enumerate(chosen):
-        x = CONTACT_MARGIN_INCHES + k * (CONTACT_FRAME_INCHES + CONTACT_GAP_INCHES)
-        sheet.text(
-            x + CONTACT_FRAME_INCHES / 2, top - 0.19, f"frame {view.result.frames[n]}", color=MUTED_COLOUR, ha="center"
-        )
+        x, heading = CONTACT_MARGIN_INCHES + k * (CONTACT_FRAME_INCHES + CONTACT_GAP_INCHES), view.result.frames[n]
+        sheet.text(x + CONTACT_FRAME_INCHES / 2, top - 0.19, f"frame {heading}", color=MUTED_COLOUR, ha="center")
         draw_rendered(sheet.tile(x, top, CONTACT_FRAME_INCHES), view, n, crops, k, from_side=False)
         for r, surface in enumerate(surfaces):
-            show_picture(
-                sheet.tile(x, top + (r + 1) * (CONTACT_FRAME_INCHES + CONTACT_GAP_INCHES), CONTACT_FRAME_INCHES),
-                surface.at_frame(n, 0, sheet.pixels(CONTACT_FRAME_INCHES)),
-            )
+            y = top + (r + 1) * (CONTACT_FRAME_INCHES + CONTACT_GAP_INCHES)
+            picture = surface.at_frame(n, 0, sheet.pixels(CONTACT_FRAME_INCHES))
+            show_picture(sheet.tile(x, y, CONTACT_FRAME_INCHES), picture)
     for r, words in enumerate(("truth" if view.of_truth else "result", *CONTACT_ROW_LABELS)):
         y = top + r * (CONTACT_FRAME_INCHES + CONTACT_GAP_INCHES) + CONTACT_FRAME_INCHES / 2
         sheet.text(CONTACT_MARGIN_INCHES - 0.17, y, words, rotation=90, ha="center", va="center", color=TRUTH_COLOUR)
 
 
 def _draw_contact_shares(sheet: Sheet, top: float, surfaces: tuple[ContactSurface, ContactSurface]) -> None:
-    """Shares of all frames in contact, on each surface from two sides."""
+    """Draw the share of frames in contact, on each surface from two sides."""
     for k, words in enumerate(CONTACT_VIEW_LABELS):
         x = CONTACT_MARGIN_INCHES + k * (CONTACT_SHARE_INCHES + CONTACT_GAP_INCHES)
         sheet.text(x, top - 0.2, words, color=TRUTH_COLOUR, fontsize=8)
-        show_picture(
-            sheet.tile(x, top, CONTACT_SHARE_INCHES),
-            surfaces[k // 2].over_all(k % 2, sheet.pixels(CONTACT_SHARE_INCHES)),
-        )
+        picture = surfaces[k // 2].over_all(k % 2, sheet.pixels(CONTACT_SHARE_INCHES))
+        show_picture(sheet.tile(x, top, CONTACT_SHARE_INCHES), picture)
 
 
 def _draw_shares_legend(sheet: Sheet, x: float, top: float) -> None:
-    """Draw the legend of the surfaces' colours."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -154,9 +138,8 @@ def _draw_iou_matrix(sheet: Sheet, x: float, top: float, view: View, definition:
 
     clip, T = view.clip, len(view.result.frames)
     track = ObjectTrack(view.result.T_hand_obj, view.result.scale)
-    (distances,) = contact_distances(
-        clip.mesh, [track], clip.hand.vertices, clip.hand.faces, definition.threshold + 1e-3
-    )
+    margin = definition.threshold + 1e-3
+    (distances,) = contact_distances(clip.mesh, [track], clip.hand.vertices, clip.hand.faces, margin)
     iou = pairwise_iou(distances.contact(definition.side, definition.threshold))
     axes = sheet.axes(x, top, IOU_MATRIX_INCHES, IOU_MATRIX_INCHES)
     colours = LinearSegmentedColormap.from_list("contact", IOU_RAMP)
@@ -165,14 +148,8 @@ def _draw_iou_matrix(sheet: Sheet, x: float, top: float, view: View, definition:
     axes.tick_params(length=2)
     draw_border(axes)
     sheet.text(x, top - 0.19, "contact IOU of every pair of frames", color=TRUTH_COLOUR)
-    _draw_colour_bar(
-        sheet,
-        drawn,
-        sheet.axes(x + IOU_MATRIX_INCHES + 0.12, top, 0.11, IOU_MATRIX_INCHES),
-        "vertical",
-        [0, 0.5, 1],
-        ["0", "0.5", "1"],
-    )
+    bar = sheet.axes(x + IOU_MATRIX_INCHES + 0.12, top, 0.11, IOU_MATRIX_INCHES)
+    _draw_colour_bar(sheet, drawn, bar, "vertical", [0, 0.5, 1], ["0", "0.5", "1"])
     if T > 1:
         words = f"stable contact area (SCA) {100.0 * stable_contact_area(iou):.1f} %:\nthe mean of the pairs"
         sheet.text(x, top + IOU_MATRIX_INCHES + 0.5, words, fontsize=9.5, linespacing=1.4)

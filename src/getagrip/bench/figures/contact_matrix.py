@@ -1,4 +1,4 @@
-"""The contact IOU of every pair of a sequence's frames, its stable grasps drawn in."""
+"""The contact IOU of every pair of a sequence's frames, with its stable grasps."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 IOU_RAMP = [PAPER_COLOUR, "#c3d3de", "#6f93b0", "#2f5573", "#16283a"]
 """Colours of contact IOU, from 0 to 1."""
 MAX_MATRIX_FRAMES = 1000
-"""Frames drawn; of longer sequences every other, every third ..."""
+"""Maximum number of rows; longer sequences are drawn at every second, third, ... frame."""
 
 
 def write_matrix(
@@ -37,11 +37,10 @@ def write_matrix(
     """Write the picture as a PNG and return its path. ``grasps``: first and last frame of each, both included."""
     with figure_style():
         figure = _draw_matrix_figure(iou, grasps, fps, tau)
-        # Names are anybody's: a dollar sign in one begins no formula.
-        figure.text(0.085, 0.972, _truncate_text(title, 62), fontsize=13, fontweight="bold", va="top", parse_math=False)
-        figure.text(
-            0.085, 0.937, _truncate_text(subtitle, 105), fontsize=9.5, color=MUTED_COLOUR, va="top", parse_math=False
-        )
+        # Names are untrusted: a dollar sign must not start a formula.
+        title, subtitle = _truncate_text(title, 62), _truncate_text(subtitle, 105)
+        figure.text(0.085, 0.972, title, fontsize=13, fontweight="bold", va="top", parse_math=False)
+        figure.text(0.085, 0.937, subtitle, fontsize=9.5, color=MUTED_COLOUR, va="top", parse_math=False)
         with files.new_file(Path(path)) as part:
             figure.savefig(part, facecolor="white")
     return Path(path)
@@ -89,7 +88,7 @@ def _draw_matrix_figure(
 
 
 def _draw_grasp_square(axes: Axes, begin: int, end: int, frames: int, words: str) -> None:
-    """Draw a square on the diagonal, with its duration in its corner, or beside it where it is small but not tiny."""
+    """Draw a square on the diagonal, with its duration inside, beside a small one, and omitted for a tiny one."""
     x, y = np.array([begin, end, end, begin, begin]), np.array([begin, begin, end, end, begin])
     axes.plot(x, y, color="white", linewidth=3.0, alpha=0.8, solid_joinstyle="miter", clip_on=False)
     axes.plot(x, y, color=RESULT_COLOUR, linewidth=1.5, solid_joinstyle="miter", clip_on=False)

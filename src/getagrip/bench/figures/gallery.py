@@ -1,4 +1,4 @@
-"""Results of many clips, the best and the worst by a metric: successes and failures, after the paper's gallery."""
+"""The best and the worst results of many clips by a metric, after the paper's gallery."""
 
 from __future__ import annotations
 
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 GALLERY_SCA_CONTACT = ContactDefinition("object", 0.010)
-"""Definition of contact of SCA."""
 GALLERY_METRICS: dict[str, tuple[str, Metric]] = {
     "iou": ("crop IOU", IOU),
     "sca": (f"SCA within {GALLERY_SCA_CONTACT.distance}", SCA),
@@ -39,22 +38,15 @@ GALLERY_METRICS: dict[str, tuple[str, Metric]] = {
     "add-sym": ("ADD sym.", ADD_SYM_MM),
     "rotation-sym": ("rotation sym.", ROTATION_SYM),
 }
-"""Metrics that results are ordered by, and their names in the figure. Shares are better if larger, errors if
-smaller."""
-GALLERY_COLUMNS, GALLERY_TILE_INCHES, GALLERY_GAP_INCHES, GALLERY_HEADING_INCHES, GALLERY_CAPTION_INCHES = (
-    3,
-    1.5,
-    0.18,
-    0.34,
-    0.42,
-)
-"""Clips beside one another; a tile, between clips, over a group of clips and over a clip [in]."""
-MAX_GALLERY_RESULTS = 60
+"""Metrics to order results by, with their names in the figure. Larger shares and smaller errors are better."""
+GALLERY_COLUMNS, MAX_GALLERY_RESULTS = 3, 60
+GALLERY_TILE_INCHES, GALLERY_GAP_INCHES, GALLERY_HEADING_INCHES, GALLERY_CAPTION_INCHES = 1.5, 0.18, 0.34, 0.42
+"""Side of a tile, gap between clips, height of a group's heading and of a clip's caption [in]."""
 
 
 @dataclass(frozen=True)
 class _ScoredResult:
-    """A result that can be read, its value of the metric, and the frame to show: its worst."""
+    """A readable result, its value of the metric, and its worst frame."""
 
     stored: StoredResult
     value: float
@@ -83,12 +75,8 @@ class Gallery(FigureKind):
         order = sorted(scored, key=lambda one: one.value, reverse=metric.unit != "%")  # the worst first
         groups = self._groups(order)
         rows = sum(-(-len(group) // GALLERY_COLUMNS) for _, group in groups)
-        height = (
-            SHEET_TITLE_INCHES
-            + len(groups) * GALLERY_HEADING_INCHES
-            + rows * (GALLERY_CAPTION_INCHES + GALLERY_TILE_INCHES + 0.1)
-            + 0.42
-        )
+        row_height = GALLERY_CAPTION_INCHES + GALLERY_TILE_INCHES + 0.1
+        height = SHEET_TITLE_INCHES + len(groups) * GALLERY_HEADING_INCHES + rows * row_height + 0.42
         columns = max(2, min(GALLERY_COLUMNS, max(len(group) for _, group in groups)))
         sheet = Sheet.of(0.25 + columns * (2 * GALLERY_TILE_INCHES + GALLERY_GAP_INCHES) + 0.1, height, self.dpi)
         values = np.array([one.value for one in scored])
@@ -101,21 +89,18 @@ class Gallery(FigureKind):
             top += GALLERY_HEADING_INCHES
             for k, one in enumerate(group):
                 x = 0.25 + k % GALLERY_COLUMNS * (2 * GALLERY_TILE_INCHES + GALLERY_GAP_INCHES)
-                y = top + k // GALLERY_COLUMNS * (GALLERY_CAPTION_INCHES + GALLERY_TILE_INCHES + 0.1)
+                y = top + k // GALLERY_COLUMNS * row_height
                 try:
                     self._clip(sheet, x, y, one, f"{name} {metric.text(one.value)} {_metric_unit_symbol(metric)}")
-                except (GetagripError, OSError) as error:  # an image that cannot be read
+                except (GetagripError, OSError) as error:  # an unreadable image
                     fail(error)
-            top += -(-len(group) // GALLERY_COLUMNS) * (GALLERY_CAPTION_INCHES + GALLERY_TILE_INCHES + 0.1)
-        lines = [
-            (RESULT_COLOUR, "contour of the posed object"),
-            (AXIS_COLOUR, "latent axis, if any; pale where hidden"),
-        ]
-        sheet.legend(0.25, height - 0.34, lines)
+            top += -(-len(group) // GALLERY_COLUMNS) * row_height
+        axis = (AXIS_COLOUR, "latent axis, if any; pale where hidden")
+        sheet.legend(0.25, height - 0.34, [(RESULT_COLOUR, "contour of the posed object"), axis])
         return sheet.figure
 
     def _scored(self, results: Sequence[StoredResult], fail: Fail) -> list[_ScoredResult]:
-        """Score the results that have a value of the metric; one at a time in memory, since masks are large."""
+        """Score the results with a value of the metric, one at a time in memory, since masks are large."""
         out, errors = [], []
         for stored in results:
             try:
@@ -129,26 +114,24 @@ class Gallery(FigureKind):
         return out
 
     def _score(self, stored: StoredResult) -> _ScoredResult:
-        """Return a result's value of the metric, and its worst frame. Raises ``InputError`` where it has none."""
+        """Compute a result's metric and its worst frame. Raises ``InputError`` where the metric is undefined."""
         metric, view = GALLERY_METRICS[self.by][1], stored.read()
         if metric.needs_truth and view.clip.truth is None:
             raise InputError(view.clip.origin / "truth.npz", "", "no ground truth", f"some, for --by {self.by}")
         if metric is IOU and view.masks is None:
             raise InputError(view.clip.origin / "masks", "", "no masks", f"some, for --by {self.by}")
-        made, key = (
-            evaluate(view.result, view.clip, view.masks, [GALLERY_SCA_CONTACT], [metric]),
-            metric.key(GALLERY_SCA_CONTACT),
-        )
-        value = float(made.metrics.get(key, np.nan))
+        scores = evaluate(view.result, view.clip, view.masks, [GALLERY_SCA_CONTACT], [metric])
+        key = metric.key(GALLERY_SCA_CONTACT)
+        value = float(scores.metrics.get(key, np.nan))
         if np.isnan(value):
             raise InputError(stored.folder, "", f"a result without {self.by}", "one that has it: two frames or more")
-        errors = np.array(made.per_frame.get(key, view.result.iou), dtype=float)
-        if key not in made.per_frame or metric.unit == "%":  # more is better
+        errors = np.array(scores.per_frame.get(key, view.result.iou), dtype=float)
+        if key not in scores.per_frame or metric.unit == "%":  # larger is better
             errors = -errors
         return _ScoredResult(stored, value, int(np.nanargmax(errors)) if not np.isnan(errors).all() else 0)
 
     def _groups(self, order: Sequence[_ScoredResult]) -> list[tuple[str, Sequence[_ScoredResult]]]:
-        """Headings and results, none of them twice."""
+        """Return headings and results, each result once."""
         if self.show == "worst" or len(order) == 1:
             return [("worst first", order[: self.n])]
         if self.show == "best":
@@ -164,15 +147,12 @@ class Gallery(FigureKind):
         facts = [words, label, *list_assumptions(view), *describe_findings(view), f"frame {view.result.frames[n]}"]
         sheet.text(x, y + 0.20, "  ·  ".join(facts), 2 * GALLERY_TILE_INCHES, fontsize=8, color=MUTED_COLOUR)
         crops = input_windows([view], np.array([n]), sheet.pixels(GALLERY_TILE_INCHES))
-        draw_over_image(sheet.tile(x, y + GALLERY_CAPTION_INCHES, GALLERY_TILE_INCHES), view, n, crops, 0)
-        draw_rendered(
-            sheet.tile(x + GALLERY_TILE_INCHES, y + GALLERY_CAPTION_INCHES, GALLERY_TILE_INCHES),
-            view,
-            n,
-            crops,
-            0,
-            from_side=True,
+        left, right = (
+            sheet.tile(tile_x, y + GALLERY_CAPTION_INCHES, GALLERY_TILE_INCHES)
+            for tile_x in (x, x + GALLERY_TILE_INCHES)
         )
+        draw_over_image(left, view, n, crops, 0)
+        draw_rendered(right, view, n, crops, 0, from_side=True)
 
 
 def _metric_unit_symbol(metric: Metric) -> str:

@@ -1,4 +1,4 @@
-"""Per-frame meshes of systems without a CAD model, as iHOI, under our result for the same clip (the appendix)."""
+"""Our result, with the per-frame meshes of systems without a CAD model, such as iHOI, below it (the appendix)."""
 
 from __future__ import annotations
 
@@ -68,8 +68,11 @@ class Ihoi(RowsFigure):
         for error in errors:
             fail(error)
         known = evaluate_meshes(found, clip, ours.masks, name).metrics
-        texts = [f"{word} {metric.text(known[key])} {metric.unit}" for word, metric in (("crop IOU", IOU), ("SCA", SCA))
-                 if (key := metric.key(contact)) in known]  # fmt: skip
+        texts = [
+            f"{word} {metric.text(known[key])} {metric.unit}"
+            for word, metric in (("crop IOU", IOU), ("SCA", SCA))
+            if (key := metric.key(contact)) in known
+        ]
         missing = sum(mesh is None for mesh in found)
         nothing = Reconstruction.external(clip.name, name, clip.frames, np.tile(np.eye(4), (len(clip), 1, 1)))
         view = replace(ours, result=nothing, frame_meshes=tuple(found))

@@ -1,4 +1,4 @@
-"""The base of all kinds of figures: results in, a matplotlib figure out."""
+"""The base of all kinds of figures: draw a matplotlib figure from results."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Fail = Callable[[Exception], None]
-"""Called with what is wrong with a result that is left out."""
+"""Called with the error of a result that is left out."""
 Count = Annotated[int, arg(metavar="N")]
 Millimetres = Annotated[float, arg(metavar="MM")]
 MAX_FIGURE_FRAMES = 12
@@ -31,16 +31,16 @@ class FigureKind:
     """A kind of figure; its fields are the options, its docstring is the help."""
 
     draws_truth: ClassVar[bool] = False
-    """True if it takes a clip as well, and then draws the ground truth."""
+    """True if the figure also accepts a clip, whose ground truth it draws."""
     dpi: Annotated[int, arg(metavar="N")] = 130
     """Pixels an inch."""
 
     def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
-        """Draw the figure. Raises ``GetagripError`` where there is nothing that it could show."""
+        """Draw the figure. Raises ``GetagripError`` where no result can be shown."""
         raise NotImplementedError
 
     def check(self) -> None:
-        """Raise ``UsageError`` for options that make no figure."""
+        """Raise ``UsageError`` for options out of range."""
         if not FIGURE_DPI_RANGE[0] <= self.dpi <= FIGURE_DPI_RANGE[1]:
             raise UsageError(f"--dpi must be {FIGURE_DPI_RANGE[0]} to {FIGURE_DPI_RANGE[1]} (got {self.dpi})")
         frames = getattr(self, "frames", 1)
@@ -49,7 +49,7 @@ class FigureKind:
 
 
 def require_one_result(results: Sequence[StoredResult], kind: str) -> View:
-    """Return the result of a figure that shows one. Raises ``UsageError`` for more."""
+    """Read the only result of a figure. Raises ``UsageError`` for any other number of results."""
     if len(results) != 1:
         first = ", ".join(str(value.folder) for value in results[:2])
         raise UsageError(f"RESULT must be one for the figure {kind!r} (got {len(results)}: {first}, ...)")
@@ -57,7 +57,7 @@ def require_one_result(results: Sequence[StoredResult], kind: str) -> View:
 
 
 def read_readable_results(results: Sequence[StoredResult], fail: Fail) -> list[tuple[StoredResult, View]]:
-    """Read the results that can be read; the others go to ``fail``. Raises the first error where none can."""
+    """Read results; errors go to ``fail``. Raises the first error where all are unreadable."""
     out: list[tuple[StoredResult, View]] = []
     errors = list[Exception]()
     for value in results:
@@ -73,7 +73,7 @@ def read_readable_results(results: Sequence[StoredResult], fail: Fail) -> list[t
 
 
 def evenly_spaced_indices(count: int, total: int) -> list[int]:
-    """Return ``count`` of the numbers 0, 1, ..., total - 1, from the first to the last; all where there are fewer."""
+    """Return at most ``count`` evenly spaced indices from 0 to ``total`` - 1."""
     return [int(n) for n in np.unique(np.linspace(0, total - 1, count).round())]
 
 
@@ -90,14 +90,14 @@ def describe_view(view: View) -> list[str]:
 
 
 def list_assumptions(view: View) -> list[str]:
-    """List the assumptions, in words; empty where there are none."""
+    """Describe the assumptions; empty without any."""
     keys = list(assumptions(view.clip.provenance))
     known = ["scale"] * (view.clip.scale == "free") + ["shape"] * (view.result.warp is not None) + keys
     return [f"guessed: {', '.join(known)}"] if known else []
 
 
 def describe_findings(view: View) -> list[str]:
-    """Count the findings of a result (docs/checks.md), in words; empty where there are none."""
+    """Describe the number of findings of a result (docs/checks.md); empty without any."""
     count, serious = len(view.result.findings), sum(finding.serious for finding in view.result.findings)
     words = f"{count} finding{'s' if count > 1 else ''}" + (f", {serious} serious" if serious else "")
     return [words] if count else []

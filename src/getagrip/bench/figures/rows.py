@@ -1,7 +1,7 @@
-"""Results of one clip under one another: the same frames over the image, and turned, with numbers beside each.
+"""Results of one clip in rows, each with the same frames over the image and from the side, and with its metrics.
 
-Of several methods, after the paper's qualitative comparison; and with the hands of several estimators, after its figure
-of HaMeR and FrankMocap.
+``Methods`` compares methods, after the paper's qualitative comparison; ``Hands`` compares hand estimators, after its
+figure of HaMeR and FrankMocap.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ROW_TILE_INCHES, ROW_GAP_INCHES, ROW_LABEL_INCHES = 1.55, 0.06, 1.75
-"""Sizes of a tile, between tiles, and of the words beside a row [in]."""
+"""Side of a tile, gap between tiles, and width of a row's label [in]."""
 
 
 @dataclass(frozen=True)
 class FigureRow:
-    """A result, its label, and numbers about it."""
+    """A result with its label and formatted metrics."""
 
     name: str
     numbers: Sequence[str]
@@ -127,29 +127,22 @@ def _check_equal_inputs(read: Sequence[tuple[StoredResult, View]]) -> None:
 
 
 def row_metrics(view: View, contact: ContactDefinition) -> list[str]:
-    """Crop IOU and stable contact area; where ground truth is known, ADD, also up to symmetries; how many findings."""
+    """Return crop IOU, stable contact area, ADD (with ground truth, also up to symmetries) and findings, as texts."""
     shown = {"crop IOU": IOU, "SCA": SCA, "ADD": ADD_MM, "ADD sym.": ADD_SYM_MM}
     known = evaluate(view.result, view.clip, view.masks, [contact], tuple(shown.values())).metrics
-    texts = []
-    for name, metric in shown.items():
-        if (key := metric.key(contact)) in known:
-            texts.append(f"{name} {metric.text(known[key])} {metric.unit}")
+    keys = {name: metric.key(contact) for name, metric in shown.items()}
+    texts = [f"{name} {shown[name].text(known[k])} {shown[name].unit}" for name, k in keys.items() if k in known]
     return texts + describe_findings(view)
 
 
 def draw_rows(
-    rows: Sequence[FigureRow],
-    title: str,
-    under: str,
-    frames: int,
-    dpi: int,
-    with_hand: bool,
+    rows: Sequence[FigureRow], title: str, under: str, frames: int, dpi: int, with_hand: bool,
     among: Int[ndarray, "m"] | None = None,
-) -> Figure:
-    """Draw the figure.
+) -> Figure:  # fmt: skip
+    """Draw a figure of rows.
 
-    ``rows`` show the same frames, of which ``frames`` are drawn, evenly of those in ``among`` or of all; the hand's
-    contour where wanted.
+    All rows have the same frames; ``frames`` of them are drawn, evenly spaced over ``among`` (None: all), optionally
+    with the hand's contour.
     """
     among = np.arange(len(rows[0].view.result.frames)) if among is None else among
     chosen = among[evenly_spaced_indices(frames, len(among))]
@@ -167,9 +160,8 @@ def draw_rows(
         sheet.text(0.25, y + 0.16 + 0.17 * len(words), "\n".join(row.numbers), linespacing=1.5)
         for k, n in enumerate(chosen):
             step = k * (ROW_TILE_INCHES + ROW_GAP_INCHES)
-            draw_over_image(
-                sheet.tile(ROW_LABEL_INCHES + step, y, ROW_TILE_INCHES), row.view, int(n), crops, k, with_hand
-            )
+            tile = sheet.tile(ROW_LABEL_INCHES + step, y, ROW_TILE_INCHES)
+            draw_over_image(tile, row.view, int(n), crops, k, with_hand)
             draw_rendered(sheet.tile(turned + step, y, ROW_TILE_INCHES), row.view, int(n), crops, k, from_side=True)
     lines = [(RESULT_COLOUR, "contour of the posed object")] + [(HAND_LINE_COLOUR, "of the hand")] * with_hand
     if any(row.view.result.axis is not None for row in rows):
@@ -179,12 +171,9 @@ def draw_rows(
 
 
 def _draw_row_headings(sheet: Sheet, view: View, chosen: Int[ndarray, "n"], turned: float) -> None:
-    for x, words in (
-        (ROW_LABEL_INCHES, "over the masks" if view.image_file(0) is None else "over the image"),
-        (turned, "from the side"),
-    ):
-        sheet.text(x, SHEET_TITLE_INCHES + 0.02, words, color=TRUTH_COLOUR, fontsize=9.5)
+    front = "over the masks" if view.image_file(0) is None else "over the image"
+    for left, words in ((ROW_LABEL_INCHES, front), (turned, "from the side")):
+        sheet.text(left, SHEET_TITLE_INCHES + 0.02, words, color=TRUTH_COLOUR, fontsize=9.5)
         for k, n in enumerate(chosen):
-            sheet.text(
-                x + k * (ROW_TILE_INCHES + ROW_GAP_INCHES) + ROW_TILE_INCHES / 2, SHEET_TITLE_INCHES + 0.25, view.result.frames[n], color=MUTED_COLOUR, ha="center"
-            )  # fmt: skip
+            x = left + k * (ROW_TILE_INCHES + ROW_GAP_INCHES) + ROW_TILE_INCHES / 2
+            sheet.text(x, SHEET_TITLE_INCHES + 0.25, view.result.frames[n], color=MUTED_COLOUR, ha="center")

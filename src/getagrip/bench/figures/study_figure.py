@@ -1,4 +1,4 @@
-"""The study's figure: each measure over normalised time, inside the grasps and outside, mean and spread."""
+"""The study's figure: mean and spread of each measure over normalised time, inside and outside the grasps."""
 
 from __future__ import annotations
 
@@ -48,11 +48,14 @@ STUDY_PANELS: tuple[tuple[str, dict[str, tuple[str, str]]], ...] = (
         },
     ),
 )
-"""Title, and the measures drawn under it with their names there and colours. The first row is the paper's."""
+"""Panels: a title, and its measures with their labels and colours. The first row is the paper's."""
 
 
 def write_study(path: str | Path, curves: Mapping[str, Sequence[Spread]], title: str, subtitle: str) -> Path:
-    """Write the picture as a PNG and return its path. ``curves``: of each measure, its spread at each of ``NORMALISED_TIMES``."""
+    """Write the picture as a PNG and return its path.
+
+    ``curves`` are the spreads at ``NORMALISED_TIMES``, by measure.
+    """
     with figure_style():
         figure = _draw_study(curves)
         figure.text(0.055, 0.975, title, fontsize=13, fontweight="bold", va="top", parse_math=False)
@@ -80,7 +83,7 @@ def _draw_study(curves: Mapping[str, Sequence[Spread]]) -> Figure:
 
 
 def _describe_coverage(curves: Mapping[str, Sequence[Spread]]) -> str:
-    """How many of the grasps have frames before and after."""
+    """Describe the number of grasps with frames before and after."""
     spreads = curves["static_rotation"]
     before, after = (spreads[int(np.argmin(np.abs(NORMALISED_TIMES - time)))].grasps for time in (-0.25, 1.25))
     return f" · at -0.25: {before} grasps, at 1.25: {after}"
@@ -90,14 +93,13 @@ def _draw_study_panel(axes: Axes, curves: Mapping[str, Sequence[Spread]], lines:
     axes.axvspan(0.0, 1.0, color=GRASP_BAND_COLOUR, linewidth=0)
     for name, (label, colour) in lines.items():
         factor = STUDY_MEASURES[name].factor
-        low, mean, high = (
-            np.array([getattr(spread, part) * factor for spread in curves[name]]) for part in ("low", "mean", "high")
-        )
+        bounds = [(spread.low * factor, spread.mean * factor, spread.high * factor) for spread in curves[name]]
+        low, mean, high = np.array(bounds).T
         axes.fill_between(NORMALISED_TIMES, low, high, color=colour, alpha=0.18, linewidth=0)
         axes.plot(NORMALISED_TIMES, mean, color=colour, linewidth=1.8, label=label or None)
     axes.set(xlim=(NORMALISED_TIMES[0], NORMALISED_TIMES[-1]), xticks=[-0.5, 0.0, 0.5, 1.0, 1.5])
     highest = 1.0 if STUDY_MEASURES[next(iter(lines))].unit == "" else axes.get_ylim()[1]
-    axes.set_ylim(0.0, highest * (1.0 + 0.11 * len(lines) * (len(lines) > 1)))  # room for the names
+    axes.set_ylim(0.0, highest * (1.0 + 0.11 * len(lines) * (len(lines) > 1)))  # room for the legend
     axes.grid(axis="y", color=LINE_COLOUR, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     if len(lines) > 1:

@@ -1,4 +1,4 @@
-"""Masks that a segmenter found, and depth left out: what a clip of a sequence is given."""
+"""Changes of the inputs of HO-3D's evaluation: estimated masks instead of the clip's, and no depth."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from getagrip.readers.masks.mask_request import MaskRequest
 from getagrip.readers.masks.mask_sources import open_masks
 
 HAND_MASKS_SUFFIX = "_hand"
-"""End of the name of a folder with the hand's masks."""
+"""Suffix of a folder of hand masks."""
 
 
 @dataclass(frozen=True)
 class WithMasks(Change):
-    """The clip with the masks of a folder ``<sequence>``, and of ``<sequence>_hand`` where there is one.
+    """Replaces the masks by those of ``folder/<sequence>``, and the hand masks by ``folder/<sequence>_hand`` if any.
 
-    Without the latter, the clip's hand is drawn as what hides the object.
+    Without hand masks, the clip's rendered hand is the occluder.
     """
 
     folder: Path
@@ -48,14 +48,14 @@ class WithMasks(Change):
 
 @dataclass(frozen=True)
 class WithoutDepth(Change):
-    """The clip without depth."""
+    """Removes the depth."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
         return replace(clip, evidence={**clip.evidence, DEPTH_KEY: None}), masks
 
 
 def without_depth(change: Change | None, depth: bool) -> Change:
-    """Return a change, and without ``depth`` that one after it."""
+    """Return a change (None: none), followed by ``WithoutDepth`` unless ``depth``."""
     change = UNCHANGED if change is None else change
     if depth:
         return change

@@ -1,7 +1,7 @@
-"""Changes of clips before a benchmark reconstructs them: none, noise, another size, true hands, mistakes.
+"""Changes of clips before a benchmark reconstructs them: noise, other sizes and objects, true hands, mistakes.
 
-``wrong_inputs`` has the mistakes. Masks that are wrong in some frames are as those of a video segmenter that loses its
-object; sizes are in that of the mask, the root of its area.
+Faults of masks are those of a video segmenter that loses its object; their sizes are in units of the mask's size, the
+root of its area.
 """
 
 from __future__ import annotations
@@ -30,33 +30,30 @@ from getagrip.synthetic.noise import Noise, perturbed
 from getagrip.synthetic.objects import draw_deformation
 
 Fault = Callable[[Bool[ndarray, "H W"], Float[ndarray, "2"]], Bool[ndarray, "H W"]]
-"""From a mask that is not empty, and a direction (x, y) in the image, to a wrong one."""
+"""Makes a wrong mask from a mask that is not empty and a direction (x, y) in the image."""
 TOUCH_DISTANCE_M = 0.01
-"""Distance within which a hand touches an object [m]."""
+"""Distance below which a hand touches an object [m]."""
 OTHER_OBJECT_OFFSET, MASK_DISC_OFFSET, MASK_DISC_RADIUS = 1.2, 0.6, 0.6
-"""Distance of another object; distance from the mask's middle, and radius, of the disc by which a mask runs over."""
+"""Distance to another object; distance to, and radius of, a disc added to a mask; from the mask's middle."""
 
 
 class Change(Protocol):
-    """A change of a clip before it is reconstructed. Its ``repr`` and the ``inputs`` identify it."""
+    """A change of a clip before it is reconstructed, identified by its ``repr`` and its ``inputs``."""
 
     other_hands: ClassVar[bool] = False
-    """True if the clip gets another estimator's hands, which its results keep (``own_hands``)."""
+    """True if the clip gets another estimator's hands, which its results keep."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
-        """Return the changed clip and masks, perhaps of some of its frames.
-
-        Raises ``InputError`` where it cannot be done.
-        """
+        """Return the changed clip and masks, possibly at fewer frames. Raises ``InputError`` for unsuitable clips."""
 
     def inputs(self, clip: str) -> Mapping[str, Path]:
-        """Return the files, by name, that it reads for a clip. Raises ``InputError`` where one is missing."""
+        """Return the files that the change reads for a clip, by name. Raises ``InputError`` where one is missing."""
         return {}
 
 
 @dataclass(frozen=True)
 class Unchanged(Change):
-    """The clip itself."""
+    """Leaves the clip as it is."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
         return clip, masks
@@ -64,7 +61,7 @@ class Unchanged(Change):
 
 @dataclass(frozen=True)
 class Noisy(Change):
-    """Hands and masks displaced; the same seed draws the same errors, larger or smaller, in every setting."""
+    """Adds noise to hands and masks; a seed draws the same errors, scaled, at every level of noise."""
 
     noise: Noise
 
@@ -74,7 +71,7 @@ class Noisy(Change):
 
 @dataclass(frozen=True)
 class EstimatedHands(Change):
-    """Hands with errors of an estimator, and its source: the clip's own where they are estimated, else displaced."""
+    """Adds noise to hands that are not estimated, and marks them as estimated."""
 
     noise: Noise
 
@@ -88,7 +85,7 @@ class EstimatedHands(Change):
 
 @dataclass(frozen=True)
 class ScaleKnown(Change):
-    """The mesh at its true size."""
+    """Gives the mesh its true size."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
         if clip.scale == "known":
@@ -100,7 +97,7 @@ class ScaleKnown(Change):
 
 @dataclass(frozen=True)
 class ScaleFree(Change):
-    """The mesh at a random size, between 1 / 1.25 and 1.25 times what it was."""
+    """Frees the scale, and scales the mesh by a random factor between 1 / 1.25 and 1.25."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
         factor = float(np.exp(np.random.default_rng([seed, *clip.name.encode()]).uniform(-1.0, 1.0) * np.log(1.25)))
@@ -109,7 +106,7 @@ class ScaleFree(Change):
 
 @dataclass(frozen=True)
 class Gapped(Change):
-    """Gaps between the object's masks and those of what hides it, which are smaller all round."""
+    """Erodes the masks of hand and occluders, which leaves gaps between them and the object's masks."""
 
     px: float
     """Width of the gaps [px of the image]."""
@@ -123,13 +120,13 @@ class Gapped(Change):
 
 @dataclass(frozen=True)
 class OtherObject(Change):
-    """Masks of another object of the category, whose shape the clip's mesh does not have.
+    """Replaces the masks by those of another object of the category, so that the mesh becomes a template mesh.
 
-    It is the mesh, deformed and stretched, at the mesh's place and size. Its symmetries are nearly those of the mesh.
+    The other object is the mesh, deformed and stretched, at its place and size, with nearly the same symmetries.
 
     Attributes:
-        deformed: how far a smooth deformation leaves it from the mesh, root mean square, in diameters.
-        stretched: largest share by which each side is stretched or shrunk besides.
+        deformed: root mean square of the smooth deformation, in diameters.
+        stretched: largest relative change of each side.
     """
 
     deformed: float = 0.03
@@ -160,14 +157,14 @@ class OtherObject(Change):
 
 @dataclass(frozen=True)
 class OtherSize(Change):
-    """An object of another size in the same grasp, with its masks; hand and camera stay.
+    """Scales the object in the grasp, with its masks and truth; hand and camera stay.
 
-    It grows or shrinks about the middle of what the hand touches. Where it would leave the hand, or the hand would sink
-    into it, its factor is brought nearer to 1.
+    The object is scaled about the middle of its contact with the hand. The factor moves towards 1 until the touching
+    part of the hand stays near the surface.
 
     Attributes:
         most: largest factor; the least is its inverse.
-        off_mm: how far the touching part of the hand may come to be from the surface, in the mean [mm].
+        off_mm: largest mean distance of the touching part of the hand from the scaled surface [mm].
     """
 
     most: float = 1.6
@@ -177,9 +174,8 @@ class OtherSize(Change):
         truth, mesh = clip.truth, clip.mesh
         if truth is None:
             raise InputError(clip.origin / "truth.npz", "", "no ground truth", "poses at which to draw another size")
-        factor = float(
-            np.exp(np.random.default_rng([seed, *clip.name.encode()]).uniform(-1.0, 1.0) * np.log(self.most))
-        )
+        rng = np.random.default_rng([seed, *clip.name.encode()])
+        factor = float(np.exp(rng.uniform(-1.0, 1.0) * np.log(self.most)))
         few, hands = frame_indices(len(clip), 3), se3.transform(truth.T_cam_hand, truth.hand_vertices)
         points = se3.transform(se3.inverse(truth.T_cam_obj[few]), hands[few]).reshape(-1, 3)
         surface = truth.scale * mesh.vertices
@@ -188,10 +184,9 @@ class OtherSize(Change):
         middle = touching.mean(axis=0)
         while True:
             grown = middle + factor * (surface - middle)
-            if (
-                abs(np.log(factor)) < 0.05
-                or 1e3 * np.abs(signed_distance(touching, grown, mesh.faces)).mean() <= self.off_mm
-            ):
+            if abs(np.log(factor)) < 0.05:
+                break
+            if 1e3 * np.abs(signed_distance(touching, grown, mesh.faces)).mean() <= self.off_mm:
                 break
             factor = float(np.sqrt(factor))
         resized = _scale_clip_mesh(clip, factor)
@@ -211,7 +206,7 @@ class OtherSize(Change):
 def _render_changed_masks(
     seen: Masks, grasped: Surface, hand: Surface, K: Float[ndarray, "3 3"], size: tuple[int, int]
 ) -> FrameMasks:
-    """Render a frame's masks with another object; pixels that other things hid stay hidden."""
+    """Render a frame's masks with another object; pixels behind other occluders stay ignored."""
     visible, ignore, holding = true_masks(grasped, [hand], [], K, size)
     others = seen.ignore[0] & ~render_coverage(*hand, K, size)
     return FrameMasks(visible & ~others, ignore | others, None if seen.hand is None else holding & ~others)
@@ -219,7 +214,7 @@ def _render_changed_masks(
 
 @dataclass(frozen=True)
 class Several(Change):
-    """One change after the other."""
+    """Applies changes one after the other."""
 
     changes: tuple[Change, ...]
 
@@ -231,7 +226,7 @@ class Several(Change):
 
 @dataclass(frozen=True)
 class FlippedHands(Change):
-    """Hands that are flipped in a share of the frames (``wrong_inputs.flipped``)."""
+    """Flips the hand in a share of the frames (``wrong_inputs.flip_hands``)."""
 
     share: float
 
@@ -241,7 +236,7 @@ class FlippedHands(Change):
 
 @dataclass(frozen=True)
 class TrueHands(Change):
-    """The hands of the ground truth instead of the given ones: what knowing them would be worth."""
+    """Replaces the hands by those of the ground truth."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
         if clip.truth is None:
@@ -261,7 +256,7 @@ def _scale_clip_mesh(clip: Clip, factor: float) -> Clip:
 
 @dataclass(frozen=True)
 class Wrong(Change):
-    """A mistake, a key of ``INPUT_MISTAKES``. The ground truth goes: nothing true remains to be found."""
+    """Makes a mistake, a key of ``INPUT_MISTAKES``, and removes the ground truth, which no longer applies."""
 
     mistake: str
 
@@ -271,7 +266,7 @@ class Wrong(Change):
 
 @dataclass(frozen=True)
 class WrongMasks(Change):
-    """A fault, a key of ``MASK_FAULTS``, in a share of the masks that show the object; never in an ignored pixel."""
+    """Makes a fault, a key of ``MASK_FAULTS``, in a share of the masks that show the object; not in ignored pixels."""
 
     fault: str
     share: float
@@ -291,7 +286,7 @@ UNCHANGED = Unchanged()
 
 
 def displace_mask(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
-    """Return a mask of the same shape beside the object."""
+    """Move a mask beside the object."""
     rows, columns = np.nonzero(mask)
     dx, dy = np.rint(OTHER_OBJECT_OFFSET * np.sqrt(len(rows)) * towards).astype(int)
     rows, columns = rows + dy, columns + dx
@@ -302,26 +297,23 @@ def displace_mask(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> B
 
 
 def halve_mask(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
-    """Return one side of the object."""
+    """Cut a mask to one side of the object."""
     dx, dy = _offsets_from_centroid(mask)
     return mask & (dx * towards[0] + dy * towards[1] < 0.0)
 
 
 def extend_mask_by_disc(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
-    """Return the object with a disc that its mask runs over."""
+    """Extend a mask by a disc that overlaps it."""
     dx, dy = _offsets_from_centroid(mask)
     size = np.sqrt(np.count_nonzero(mask))
-    return mask | (
-        np.hypot(dx - MASK_DISC_OFFSET * size * towards[0], dy - MASK_DISC_OFFSET * size * towards[1])
-        < MASK_DISC_RADIUS * size
-    )
+    distance = np.hypot(dx - MASK_DISC_OFFSET * size * towards[0], dy - MASK_DISC_OFFSET * size * towards[1])
+    return mask | (distance < MASK_DISC_RADIUS * size)
 
 
 def _offsets_from_centroid(mask: Bool[ndarray, "H W"]) -> tuple[Float[ndarray, "1 W"], Float[ndarray, "H 1"]]:
-    """Columns and rows, from those of the mask's middle."""
     rows, columns = np.nonzero(mask)
     return np.arange(mask.shape[1])[None] - columns.mean(), np.arange(len(mask))[:, None] - rows.mean()
 
 
 MASK_FAULTS: dict[str, Fault] = {"another object": displace_mask, "half": halve_mask, "runs over": extend_mask_by_disc}
-"""Each fault, by the name that tables call it."""
+"""Faults by their names in tables."""

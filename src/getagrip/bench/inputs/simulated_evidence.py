@@ -1,10 +1,10 @@
-"""Evidence made from the ground truth, with the errors that sensors and networks have: what it would be worth.
+"""Simulate depth and 2D joints from the ground truth, with errors of sensors and networks.
 
-Depth has an unknown scale, smooth errors over hand and object most of which stay the same in all frames, a relief that
-is too flat or too deep, a hand that is off against the object, white noise and holes. How large each is, is assumed.
+Depth has an unknown scale, smooth errors over hand and object that are mostly constant over frames, a relief that is
+too flat or too deep, a hand shifted against the object, white noise and holes. The sizes of the errors are assumed.
 
-2D joints have an error that lasts through the clip and one of each frame, in shares of the hand's box, both larger
-where the object hides the joint, and outliers.
+2D joints have an error that is constant over the clip, one per frame, both relative to the hand's box and larger where
+the object hides the joint, and outliers.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from getagrip.geometry.camera import project
 from getagrip.geometry.rasterize import depth_and_face
 
 CONSTANT_VARIANCE_FRACTION = 0.7
-"""Share of the smooth errors' variance that is the same in all frames."""
+"""Fraction of the smooth errors' variance that is constant over frames."""
 SMOOTH_NOISE_GRID = 4
-"""Values along a side of the window between which smooth errors are interpolated."""
+"""Number of random values along a side of the window, between which smooth errors are interpolated."""
 
 
 @dataclass(frozen=True)
@@ -36,15 +36,15 @@ class SimulatedDepthErrors:
     """Errors of depth images.
 
     Attributes:
-        source: what makes the images.
-        clip_scale: standard deviation of the logarithm of the factor of all of a clip's depth.
-        frame_scale: the same of each frame's own.
-        relief: how much deeper the relief of hand and object may be, as a share.
+        source: maker of the images.
+        clip_scale: standard deviation of the log scale of a clip's depth.
+        frame_scale: standard deviation of the log scale of each frame's depth.
+        relief: standard deviation of the relative error of the relief of hand and object.
         smooth: root mean square of smooth errors [m].
-        apart: how far the hand is off against the object [m].
-        white: noise of each pixel [m].
-        holes: share of pixels without depth.
-        warped: how far a smooth error of the whole window reaches, as a share of the distance: wrong depth.
+        apart: standard deviation of the hand's shift against the object [m].
+        white: standard deviation of the noise of each pixel [m].
+        holes: fraction of pixels without depth.
+        warped: amplitude of a linear ramp over the window, relative to the distance: a gross error.
     """
 
     source: Literal["sensor", "network"]
@@ -73,7 +73,7 @@ DEPTH_ERROR_LEVELS = {
 
 @dataclass(frozen=True)
 class SimulatedDepth(Change):
-    """Depth images of the true hand and object, with the errors of a level of ``DEPTH_ERROR_LEVELS``."""
+    """Adds depth images of the true hand and object, with the errors of a level of ``DEPTH_ERROR_LEVELS``."""
 
     level: str
 
@@ -81,14 +81,12 @@ class SimulatedDepth(Change):
         if clip.truth is None:
             raise InputError(clip.origin / "truth.npz", "", "no ground truth", "poses at which to simulate depth")
         rng = np.random.default_rng([seed, *b"depth", *clip.name.encode()])
-        return replace(
-            clip,
-            evidence={**clip.evidence, DEPTH_KEY: simulate_depth(clip, masks, DEPTH_ERROR_LEVELS[self.level], rng)},
-        ), masks
+        depth = simulate_depth(clip, masks, DEPTH_ERROR_LEVELS[self.level], rng)
+        return replace(clip, evidence={**clip.evidence, DEPTH_KEY: depth}), masks
 
 
 def simulate_depth(clip: Clip, masks: Masks, errors: SimulatedDepthErrors, rng: np.random.Generator) -> Depth:
-    """Make the depth images of a clip with ground truth."""
+    """Simulate the depth images of a clip with ground truth."""
     truth = clip.truth
     assert truth is not None
     corner, stride = sampling_windows(clip, masks, clip.size)
@@ -96,19 +94,13 @@ def simulate_depth(clip: Clip, masks: Masks, errors: SimulatedDepthErrors, rng: 
     seen = Depth(np.zeros((len(clip), N_WINDOW_SAMPLES, N_WINDOW_SAMPLES)), corner, stride, clip.size, source)
     hands = se3.transform(truth.T_cam_hand, truth.hand_vertices)
     grasped = se3.transform(truth.T_cam_obj, truth.scale * clip.mesh.vertices)
-    constant, z, relief, apart = (
-        _draw_smooth_field(rng),
-        seen.z.copy(),
-        _draw_normal(rng, errors.relief),
-        _draw_normal(rng, errors.apart),
-    )
+    z, constant = seen.z.copy(), _draw_smooth_field(rng)
+    relief, apart = _draw_normal(rng, errors.relief), _draw_normal(rng, errors.apart)
     warp = errors.warped * rng.choice([-1.0, 1.0]) * _linear_ramp(rng.uniform(0.0, 2.0 * np.pi))
     scale = np.exp(_draw_normal(rng, errors.clip_scale))
     for n, K in enumerate(seen.intrinsics(clip)):
-        depths = [
-            depth_and_face(vertices, faces, K, (N_WINDOW_SAMPLES, N_WINDOW_SAMPLES))[0]
-            for vertices, faces in ((grasped[n], clip.mesh.faces), (hands[n], clip.hand.faces))
-        ]
+        surfaces = ((grasped[n], clip.mesh.faces), (hands[n], clip.hand.faces))
+        depths = [depth_and_face(*surface, K, (N_WINDOW_SAMPLES, N_WINDOW_SAMPLES))[0] for surface in surfaces]
         true = np.minimum(*depths).astype(float)
         shown = np.isfinite(true)
         middle = float(true[shown].mean()) if shown.any() else 1.0
@@ -119,14 +111,11 @@ def simulate_depth(clip: Clip, masks: Masks, errors: SimulatedDepthErrors, rng: 
         )
         error += relief * np.where(shown, true - middle, 0.0) + apart * (depths[1] < depths[0])
         error += rng.normal(scale=errors.white, size=true.shape)
-        holes = (
-            _draw_smooth_field(rng) < np.quantile(_draw_smooth_field(rng), errors.holes)
-            if errors.holes
-            else np.zeros_like(shown)
-        )
-        z[n] = np.where(
-            holes, 0.0, scale * np.exp(_draw_normal(rng, errors.frame_scale)) * (true + error) * (1.0 + warp)
-        )
+        holes = np.zeros_like(shown)
+        if errors.holes:
+            holes = _draw_smooth_field(rng) < np.quantile(_draw_smooth_field(rng), errors.holes)
+        frame_scale = np.exp(_draw_normal(rng, errors.frame_scale))
+        z[n] = np.where(holes, 0.0, scale * frame_scale * (true + error) * (1.0 + warp))
     return replace(seen, z=z)
 
 
@@ -135,33 +124,30 @@ def _draw_normal(rng: np.random.Generator, scale: float) -> float:
 
 
 def _draw_smooth_field(rng: np.random.Generator) -> Float[ndarray, "n n"]:
-    """Draw a smooth field over a window, of about unit variance."""
-    field = cv2.resize(
-        rng.normal(size=(SMOOTH_NOISE_GRID, SMOOTH_NOISE_GRID)),
-        (N_WINDOW_SAMPLES, N_WINDOW_SAMPLES),
-        interpolation=cv2.INTER_CUBIC,
-    )
+    """Draw a smooth field over a window, of unit variance."""
+    coarse = rng.normal(size=(SMOOTH_NOISE_GRID, SMOOTH_NOISE_GRID))
+    field = cv2.resize(coarse, (N_WINDOW_SAMPLES, N_WINDOW_SAMPLES), interpolation=cv2.INTER_CUBIC)
     return np.asarray(field / field.std())
 
 
 def _linear_ramp(angle: float) -> Float[ndarray, "n n"]:
-    """Return a field that goes from -1 to 1 across a window in one direction."""
+    """Return a field that is linear across a window, from -1 to 1 along x and y weighted by the angle's cos and sin."""
     x = np.linspace(-1.0, 1.0, N_WINDOW_SAMPLES)
     return np.cos(angle) * x + np.sin(angle) * x[:, None]
 
 
 @dataclass(frozen=True)
 class SimulatedJointErrors:
-    """Errors of 2D joints, as standard deviations along each axis in shares of the hand's box.
+    """Errors of 2D joints, as standard deviations along each axis relative to the hand's box.
 
     Attributes:
         own: error of a joint in a frame.
         lasting: error of a joint in all frames of the clip.
         together: shift of all joints of a frame.
-        hidden: how many times as far a joint is off that the object hides.
-        palm: how many times as far wrist and knuckles are off.
-        outliers: share of joints that are up to half a box elsewhere.
-        mistake: what the joints are of instead.
+        hidden: factor on the errors of a joint behind the object.
+        palm: factor on the errors of wrist and knuckles.
+        outliers: fraction of joints shifted by up to half a box.
+        mistake: a gross error of all joints.
     """
 
     own: float
@@ -180,17 +166,17 @@ JOINT_ERROR_LEVELS = {
     "other hand": SimulatedJointErrors(0.02, 0.02, mistake="other hand"),
     "shifted camera": SimulatedJointErrors(0.02, 0.02, mistake="shifted camera"),
 }
-"""Levels of errors, by name. ``landmarks`` is that of our detector on real images (``results/landmark-errors.json``),
-half of which is taken to last; ``lab`` and ``wild`` are assumed."""
+"""Levels of errors, by name. ``landmarks`` has our detector's errors on real images (``results/landmark-errors.json``),
+half of them assumed constant over a clip; ``lab`` and ``wild`` are assumed."""
 PALM_JOINTS = [0, 1, 5, 9, 13, 17]
-"""Joints: wrist and knuckles."""
+"""Indices of wrist and knuckles."""
 N_JOINT_VERTICES = 40
-"""Vertices nearest to a joint, with which it goes."""
+"""Number of vertices nearest to a joint that define its motion."""
 
 
 @dataclass(frozen=True)
 class SimulatedJoints(Change):
-    """2D joints of the true hand, with the errors of a level of ``JOINT_ERROR_LEVELS``."""
+    """Adds 2D joints of the true hand, with the errors of a level of ``JOINT_ERROR_LEVELS``."""
 
     level: str
 
@@ -206,7 +192,7 @@ class SimulatedJoints(Change):
 def simulate_joints_2d(
     clip: Clip, masks: Masks, errors: SimulatedJointErrors, rng: np.random.Generator
 ) -> Float[ndarray, "T 21 2"]:
-    """Simulate where the joints of the true hand are seen [px]."""
+    """Simulate detected 2D joints of the true hand [px]."""
     points = project(clip.K, true_joints(clip))
     hidden, size = _is_hidden_by_object(masks, points), np.ptp(points, axis=1).max(axis=-1)[:, None, None]
     off = errors.own * rng.normal(size=points.shape) + errors.lasting * rng.normal(size=points.shape[1:])
@@ -224,15 +210,14 @@ def simulate_joints_2d(
 
 
 def true_joints(clip: Clip) -> Float[ndarray, "T 21 3"]:
-    """Return the joints of the true hand in the camera frame [m]: each goes with the vertices nearest to it."""
+    """Return the joints of the true hand in the camera frame [m]; each moves rigidly with its nearest vertices."""
     truth, joints = clip.truth, clip.hand.joints
     assert truth is not None
     assert joints is not None
     found = np.empty_like(joints)
     for j in range(joints.shape[1]):
-        near = np.argsort(np.linalg.norm(clip.hand.vertices - joints[:, j, None], axis=-1).mean(axis=0))[
-            :N_JOINT_VERTICES
-        ]
+        distance = np.linalg.norm(clip.hand.vertices - joints[:, j, None], axis=-1).mean(axis=0)
+        near = np.argsort(distance)[:N_JOINT_VERTICES]
         given, true = clip.hand.vertices[:, near], truth.hand_vertices[:, near]
         a, b = given.mean(axis=1, keepdims=True), true.mean(axis=1, keepdims=True)
         R = se3.nearest_rotation(np.swapaxes(true - b, 1, 2) @ (given - a))
@@ -241,7 +226,6 @@ def true_joints(clip: Clip) -> Float[ndarray, "T 21 3"]:
 
 
 def _is_hidden_by_object(masks: Masks, points: Float[ndarray, "T 21 2"]) -> Bool[ndarray, "T 21"]:
-    """Tell which points lie in the object's masks."""
     height, width = masks.object.shape[1:]
     places = np.clip(points, 0.0, [width - 1, height - 1]).astype(int)
     return np.stack([mask[at[:, 1], at[:, 0]] for mask, at in zip(masks.object, places, strict=True)])

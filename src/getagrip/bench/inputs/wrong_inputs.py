@@ -1,7 +1,4 @@
-"""Common mistakes with inputs, made on purpose to test the checks (docs/checks.md).
-
-``settings.Wrong`` makes them, on clips without ground truth.
-"""
+"""Common mistakes with inputs, made on purpose (``perturbations.Wrong``) to test the checks (docs/checks.md)."""
 
 from __future__ import annotations
 
@@ -20,21 +17,24 @@ from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
 
 Mistake = Callable[[Clip, Masks, np.random.Generator], tuple[Clip, Masks]]
 HAND_FLIP_FRACTION, HAND_JITTER_SIGMA_M = 0.2, 0.03
-"""Share of the frames in which a hand is flipped, and standard deviation of where one is put along each axis [m]."""
+"""Fraction of frames with a flipped hand; standard deviation of a hand's jitter along each axis [m]."""
 OVERSIZED_HAND_FACTOR = 1.15
-"""How many times too large a hand is, and too far away: it looks as before."""
+"""Factor on a hand's size and distance; its image stays the same."""
 
 INPUT_MISTAKES: dict[str, Mistake] = {
     "other mesh": lambda clip, masks, _: (_with_other_mesh(clip), masks),
     "hands reversed": lambda clip, masks, _: (replace(clip, hand=clip.take(np.arange(len(clip))[::-1]).hand), masks),
-    "masks late": lambda clip, masks, _: (clip, _delay_masks(masks, len(clip) // 3)),  # files count from different numbers
-    "masks 2 frames late": lambda clip, masks, _: (clip, _delay_masks(masks, 2)),  # one file counts from 0
+    # Files that count frames from different numbers; by 2 frames, where one counts from 0.
+    "masks late": lambda clip, masks, _: (clip, _delay_masks(masks, len(clip) // 3)),
+    "masks 2 frames late": lambda clip, masks, _: (clip, _delay_masks(masks, 2)),
     "side flipped": lambda clip, masks, _: (replace(clip, side="right" if clip.side == "left" else "left"), masks),
     "hands 24 cm away": lambda clip, masks, _: (_move_hand_along_rays(clip, shift=np.array([0.0, 0.0, 0.24])), masks),
     "hand at 10 m": lambda clip, masks, _: (_move_hand_along_rays(clip, 10.0 / clip.hand.T_cam_hand[:, 2:3, 3]), masks),
     "hand too large": lambda clip, masks, _: (_with_large_hand(clip), masks),
     "hand flips": lambda clip, masks, rng: (flip_hands(clip, HAND_FLIP_FRACTION, rng), masks),
-    "hand jitters": lambda clip, masks, rng: (_move_hand_along_rays(clip, shift=rng.normal(scale=HAND_JITTER_SIGMA_M, size=(len(clip), 3))), masks),
+    "hand jitters": lambda clip, masks, rng: (
+        _move_hand_along_rays(clip, shift=rng.normal(scale=HAND_JITTER_SIGMA_M, size=(len(clip), 3))), masks
+    ),
     "masks with the hand": lambda clip, masks, _: (
         clip, replace(masks, object=masks.object | masks.ignore, ignore=np.zeros_like(masks.ignore))
     ),
@@ -78,7 +78,7 @@ def _move_hand_along_rays(
 
 
 def _with_large_hand(clip: Clip) -> Clip:
-    """Enlarge the hand and its distance by as much: an estimator that takes every hand for large."""
+    """Enlarge the hand and its distance by the same factor: an estimator that assumes a large hand."""
     larger = _move_hand_along_rays(clip, OVERSIZED_HAND_FACTOR)
     return replace(larger, hand=replace(larger.hand, vertices=OVERSIZED_HAND_FACTOR * clip.hand.vertices))
 
@@ -113,7 +113,7 @@ def _stretch_mesh(clip: Clip, by: Float[ndarray, "3"] | float) -> Clip:
 
 
 def flip_hands(clip: Clip, share: float, rng: np.random.Generator) -> Clip:
-    """Turn the hand by half a turn about an axis of its own in a share of the frames, as trackers flip it."""
+    """Rotate the hand by 180 degrees about one of its own axes in a share of the frames: a tracker glitch."""
     frames = rng.choice(len(clip), max(1, round(share * len(clip))), replace=False)
     T, middle = clip.hand.T_cam_hand.copy(), clip.hand.vertices.mean(axis=(0, 1))
     R = se3.exp_so3(np.pi * np.eye(3)[rng.integers(3, size=len(frames))])

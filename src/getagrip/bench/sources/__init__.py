@@ -19,10 +19,10 @@ __all__ = ["ClipSource", "Sample", "read_clip_names", "sample_clips"]
 def sample_clips(
     source: ClipSource, clips: Path, count: int | None, debug: bool, share: SchedulingOptions | None = None
 ) -> tuple[list[Sample], list[Outcome]]:
-    """Return ``count`` evenly sampled clips of a source, and the outcomes of those that are none.
+    """Return ``count`` evenly sampled clips of a source (None: all), and the outcomes of folders without a clip.
 
-    ``clips`` is where a source may make them, shared out as ``share`` says.
-    Raises ``UsageError`` for a count below 1, and as the source does.
+    A source may make its clips in the folder ``clips``, scheduled by ``share``. Raises ``UsageError`` for a count
+    below 1, and the source's errors.
     """
     import numpy as np
 

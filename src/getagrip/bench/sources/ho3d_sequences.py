@@ -1,4 +1,4 @@
-"""HO-3D's evaluation split as RGB-D systems are compared on it: whole sequences, masks given and estimated."""
+"""HO-3D's evaluation split, as for RGB-D systems: whole sequences, with the dataset's or with estimated masks."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Ho3dEval(RecordedSource):
         return read_published_results("ho3d_published.json")
 
     def part_of(self, clip: str, category: str) -> str:
-        """Return the sequence."""
+        """Return the sequence of a clip, which has a table of its own."""
         return sequence_of(clip)
 
     def reader(self, root: Path) -> Dataset:
@@ -74,12 +74,12 @@ class Ho3dEval(RecordedSource):
         return Ablation("HO-3D, evaluation split", "given masks", tuple(settings), ("soft-hinge",))
 
     def claim(self, clips: Path) -> None:
-        super(Ho3dEval, replace(self, masks=None)).claim(clips)  # clips are the same without
+        super(Ho3dEval, replace(self, masks=None)).claim(clips)  # the clips do not depend on it
 
     def samples(
         self, clips: Path, debug: bool, share: SchedulingOptions | None = None
     ) -> tuple[list[Sample], list[Outcome]]:
-        """Import the sequences, and the depth images of those that have them."""
+        """Import the sequences, with depth images where they exist."""
         from getagrip.clip.depth import DEPTH_KEY
         from getagrip.clip.read import read_header
         from getagrip.readers.depth_files import DEPTH_FORMATS, add_depth, open_depth
@@ -90,12 +90,11 @@ class Ho3dEval(RecordedSource):
             images = self.root / "evaluation" / sequence_of(sample.name) / DEPTH_KEY
             if images.is_dir() and not (sample.folder / DEPTH_KEY).exists():
                 header = read_header(sample.folder)
-                add_depth(
-                    header, open_depth(images, "ho3d", header.frames, ""), DEPTH_FORMATS["ho3d"].source, "HO-3D's"
-                )
+                depth = open_depth(images, "ho3d", header.frames, "")
+                add_depth(header, depth, DEPTH_FORMATS["ho3d"].source, "HO-3D's")
         return found, failed
 
 
 def sequence_of(clip: str) -> str:
-    """Return the sequence of a clip, by its name."""
+    """Return the sequence in a clip's name."""
     return clip.split("--")[1]

@@ -1,4 +1,4 @@
-"""Datasets of recordings, imported where that is not done yet and split by subjects: grasps, timelines, sequences."""
+"""Datasets of recordings, imported on demand and split by subjects: grasps, timelines, uncut sequences."""
 
 from __future__ import annotations
 
@@ -25,20 +25,17 @@ Preset = Annotated[str, arg(metavar="NAME")]
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedSource(ClipSource):
-    """A dataset's grasps; clips of a subject are all for training, or all for testing."""
+    """A dataset's grasps; all clips of a subject belong to one split."""
 
     root: OptionalFolder = None
     """The dataset's folder, as for import."""
 
     def reader(self, root: Path) -> Dataset:
-        """Return the reader that imports it."""
+        """Return the dataset to import."""
         raise NotImplementedError
 
     def training(self, subjects: Collection[str]) -> Collection[str]:
-        """Return the subjects that are for training.
-
-        Unless a dataset says otherwise, every third, beginning with the first.
-        """
+        """Return the subjects of the training split: by default every third, starting with the first."""
         return sorted(subjects)[::3]
 
     def samples(
@@ -56,18 +53,16 @@ class RecordedSource(ClipSource):
         missing = self.only is None or any(not (clips / name).exists() for name in self.only)
         if not done.exists() and missing:
             if self.only is None:
-                print_note(
-                    f"{self.dataset}: all clips are imported first, and kept; --only FILE imports those that it names"
-                )
+                note = "all clips are imported first, and kept; --only FILE imports the clips that FILE names"
+                print_note(f"{self.dataset}: {note}")
             share = share or DEFAULT_SCHEDULING
-            whole = replace(
-                share, shard=WHOLE_SHARD, ledger=None
-            )  # every call needs all clips; their ledger is beside them
+            # Every call needs all clips; their ledger is in their folder.
+            whole = replace(share, shard=WHOLE_SHARD, ledger=None)
             status = import_clips(self.reader(self.root), clips, debug, whole, self.only)
             if status and share.fail_fast:
-                raise GetagripError(f"{self.dataset}: not all could be imported, and --fail-fast ends the call")
+                raise GetagripError(f"{self.dataset}: not all clips could be imported, and --fail-fast ends the call")
             if status == 0 and self.only is None:
-                files.write_bytes(done, b"")  # else what failed is tried again next time
+                files.write_bytes(done, b"")  # without it, the next call retries the clips that failed
         found, failed = clips_by_name([clips])
         subject = {name: subject_from_clip_name(name) for name in found}
         train = self.training({*subject.values()})
@@ -91,7 +86,7 @@ class TimelineSource(RecordedSource):
             raise unknown_choice_error("--preset", self.preset, self.presets())
 
     def presets(self) -> Collection[str]:
-        """Return the values of ``preset``: the clips are without noise."""
+        """Return the values of ``preset``. The clips in the folder have no noise."""
         from getagrip.bench.timelines import ALL_NOISE_LEVELS, TIMELINE_NOISE_LEVELS
 
         return (ALL_NOISE_LEVELS, *TIMELINE_NOISE_LEVELS)
@@ -110,9 +105,9 @@ class DexYcb(RecordedSource):
     """The folder of the YCB models, where they are not in --root."""
 
     def reader(self, root: Path) -> Dataset:
-        from getagrip.readers.datasets.dexycb import dexycb_clips as hot3d_clips
+        from getagrip.readers.datasets.dexycb import dexycb_clips
 
-        return hot3d_clips.DexYcb(root=root, meshes=self.meshes)
+        return dexycb_clips.DexYcb(root=root, meshes=self.meshes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,9 +117,9 @@ class DexYcbTimelines(TimelineSource, DexYcb):
     dataset: ClassVar[str] = "dexycb-timelines"
 
     def reader(self, root: Path) -> Dataset:
-        from getagrip.readers.datasets.dexycb import dexycb_clips as hot3d_clips
+        from getagrip.readers.datasets.dexycb import dexycb_clips
 
-        return hot3d_clips.DexYcb(root=root, meshes=self.meshes, timelines=True)
+        return dexycb_clips.DexYcb(root=root, meshes=self.meshes, timelines=True)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""The interface of a source of clips, with a note of which one made the clips of a folder; a folder of clips is one."""
+"""The interface of a source of clips, with a record of the source in its folder; and the source of your own clips."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Sample:
     name: str
     folder: Path
     make: Callable[[Path], None] | None = None
-    """Makes the folder where it is not there."""
+    """Makes a missing folder."""
 
 
 def read_clip_names(path: Path) -> frozenset[str]:
@@ -54,7 +54,7 @@ class ClipSource:
     dataset: ClassVar[str]
     """Name of the dataset for users."""
     every_frame: ClassVar[bool] = False
-    """True if all frames of its clips count, whatever the user says."""
+    """True if all frames of the clips are fitted, whatever the user's options."""
     split: Annotated[
         Split | None,
         one_of("train", "validation", "all"),
@@ -74,70 +74,70 @@ class ClipSource:
 
     @property
     def part(self) -> Split:
-        """The split that is used."""
+        """Split to use."""
         return self.split or ("validation" if self.only is None else "all")
 
     @property
     def title(self) -> str:
-        """The clips, for the head of a page."""
+        """Dataset and split, for the head of a page."""
         part = "both splits" if self.part == "all" else f"{self.part} split"
         return f"{self.description}, {part if self.only is None else 'clips by name'}"
 
     @property
     def description(self) -> str:
-        """The dataset, whatever the split."""
+        """Dataset, without the split."""
         return self.dataset
 
     @property
     def contact_mm(self) -> float:
-        """Within how much of the hand's surface points of the object are in contact, unless the user says [mm]."""
+        """Default distance from the hand's surface within which points of the object are in contact [mm]."""
         return 10.0
 
     @property
     def columns(self) -> tuple[Literal["paper", "motion", "recall"], ...]:
-        """The columns of its tables, unless the user says."""
+        """Default columns of the tables."""
         return ("paper",)
 
     @property
     def compared(self) -> Ablation | None:
-        """The settings that are compared on it, where these are not methods."""
+        """Settings to compare instead of methods."""
         return None
 
     @property
     def published(self) -> Mapping[str, PublishedResults]:
-        """Numbers that others printed for its parts, by system."""
+        """Published results on the parts of the dataset, by system."""
         return {}
 
     def part_of(self, clip: str, category: str) -> str:
-        """Return the part that a clip is of, of those with a table each."""
+        """Return the part (category, sequence) of a clip; each part has a table."""
         return category
 
     def samples(
         self, clips: Path, debug: bool, share: SchedulingOptions | None = None
     ) -> tuple[list[Sample], list[Outcome]]:
-        """Return the clips, and the outcomes of folders that are none.
+        """Return the clips, and the outcomes of folders without a clip.
 
-        Clips that must be made go to the folder ``clips``, all of them, whatever the shard of ``share``, which says who
-        makes those of recordings; by default as that of a call without options.
+        Missing clips are made in the folder ``clips``, all of them, whatever the shard of ``share``; imports are
+        scheduled by ``share`` (None: the defaults).
 
-        Raises ``UsageError`` where an option is wrong or missing, or where ``clips`` holds those of another source;
-        ``InputError`` where there are no clips.
+        Raises ``UsageError`` for a wrong or missing option, or where ``clips`` holds clips of another source;
+        ``InputError`` without clips.
         """
         raise NotImplementedError
 
     def claim(self, clips: Path) -> None:
-        """Note that this source makes the clips of a folder, so that no other source takes them for its own.
+        """Note in a folder that this source makes its clips.
 
-        Raises ``UsageError`` where another one does, or this one with other options.
+        Raises ``UsageError`` where another source does, or this one with other options.
         """
         options = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("split", "only")}
         mine = {"dataset": self.dataset}
         mine |= {name: str(value.resolve()) if isinstance(value, Path) else value for name, value in options.items()}
-        note = files.folder_inside(clips.parent, clips.name) / "source.json"
-        if not note.exists():
-            with files.new_file(note) as part:
+        record = files.folder_inside(clips.parent, clips.name) / "source.json"
+        if not record.exists():
+            with files.new_file(record) as part:
                 files.write_json(part, mine)
-        elif files.read_json(note) != mine:
+        elif files.read_json(record) != mine:
             raise UsageError(f"--out cannot be used with {self.dataset}: {clips} holds clips of another dataset")
 
 
@@ -160,17 +160,15 @@ class ClipFolder(ClipSource):
 
     @property
     def contact_mm(self) -> float:
-        """That by which the clips were cut, as the list beside them says: 0 mm on ARCTIC, 10 mm on HOI4D."""
+        """Contact distance by which the clips were cut, from the list of grasps: 0 mm on ARCTIC, 10 mm on HOI4D."""
         from getagrip.stable_grasps import grasp_lists
 
         path = self.folder / grasp_lists.GRASP_LIST_FILE
         cut = grasp_lists.read_cut(path) if path.is_file() else None
         contact = cut.get("contact") if isinstance(cut, dict) else None
-        return (
-            super().contact_mm
-            if contact is None
-            else 1e3 * grasp_lists.parse_contact_distance(path, "cut.contact", contact)
-        )
+        if contact is None:
+            return super().contact_mm
+        return 1e3 * grasp_lists.parse_contact_distance(path, "cut.contact", contact)
 
     def samples(
         self, clips: Path, debug: bool, share: SchedulingOptions | None = None

@@ -1,4 +1,4 @@
-"""Synthetic clips, each made when it is first needed."""
+"""Synthetic clips, each made when it is first used."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class SyntheticSource(ClipSource):
-    """Synthetic clips, made as they are needed."""
+    """Synthetic clips, made when they are first used."""
 
     dataset: ClassVar[str] = "synthetic"
 
@@ -47,7 +47,6 @@ class SyntheticSource(ClipSource):
 
 
 def _make_synthetic_clip(category: str, seed: int, options: SceneOptions, folder: Path) -> None:
-    """Make a clip."""
     from getagrip.clip import write_clip
     from getagrip.synthetic.scene import synthesise
 

@@ -1,1 +1,1 @@
-"""The paper's tables, each verb of the way run in turn: one file for each dataset, one for what they share."""
+"""Reproduce the paper's tables by running other commands in turn: one file for each dataset."""

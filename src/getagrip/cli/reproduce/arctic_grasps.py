@@ -19,9 +19,9 @@ ARCTIC_PAPER_METHODS = {
     "Single Frame": "paper-single-frame", "HOMan": "paper-homan", "Static": "paper-static", "Dynamic": "paper-dynamic",
     "1-DoF": "paper",
 }  # fmt: skip
-"""The paper's groups, and their methods, all by its energy and optimiser."""
+"""The paper's groups with their methods, which use its energy and optimiser."""
 ARCTIC_BASELINES = {"Single Frame, ours": "single-frame", "HOMan, ours": "homan"}
-"""Groups of ours that have the paper's baselines by our energy and solver."""
+"""The paper's baselines with our energy and solver."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,26 +29,20 @@ class ReproduceArctic(Reproduce):
     """The paper's tables of ARCTIC-Grasps: methods, statistics, and the study of rotation within grasps."""
 
     def run(self) -> int:
-        """Import, learn starts, compare, study, and write the tables; 1 if anything failed, else 0.
+        """Import, learn initial poses, compare, study, and write the tables; 1 if a step failed, else 0.
 
-        Raises ``UsageError``, which lists what is missing, before anything is done.
+        Raises ``UsageError`` with a list of missing files before the first step.
         """
-        from getagrip.bench.ablations import ComparisonOptions
+        from getagrip.bench.options import ComparisonOptions
         from getagrip.cli.datasets import Import
         from getagrip.cli.learn_poses import LearnPoses
-        from getagrip.cli.reproduce.paper_tables import (
-            ALL_ROW_LABEL,
-            PaperTable,
-            bench_values,
-            describe_clip_count,
-            read_durations,
-        )
+        from getagrip.cli.reproduce import paper_tables as paper
         from getagrip.cli.study import Stats, Study
         from getagrip.fitting.options import PriorsFile, SearchOptions
         from getagrip.readers.datasets.arctic import Arctic
 
-        there, clips, whole = find_required(ARCTIC_REQUIREMENTS, self.roots), self.out / "clips", self.out / "whole"
-        cut = Arctic(root=there["root"], mano=there["mano"])
+        needs, clips, whole = find_required(ARCTIC_REQUIREMENTS, self.roots), self.out / "clips", self.out / "whole"
+        cut = Arctic(root=needs["root"], mano=needs["mano"])
         good = self.step("import arctic", Import[Arctic](dataset=cut, out=clips, share=self.share, debug=self.debug))
         uncut = replace(cut, whole=True)
         good &= self.step("import arctic --whole", Import[Arctic](dataset=uncut, out=whole, share=self.share))
@@ -67,11 +61,12 @@ class ReproduceArctic(Reproduce):
         )
         if not studied.exists():
             good &= self.step("study", study)
-        methods = {g: bench_values(self.page("methods"), m, ARCTIC_COLUMNS) for g, m in groups.items()}
+        page = self.page("methods")
+        methods = {group: paper.bench_values(page, method, ARCTIC_COLUMNS) for group, method in groups.items()}
         tables = [
-            PaperTable("Table 2", methods, describe_clip_count(self.page("methods"))),
-            PaperTable("Table 8", read_durations(statistics)),
-            PaperTable("Sec. 3", {"grasps": {ALL_ROW_LABEL: self._errors()}}),
+            paper.PaperTable("Table 2", methods, paper.describe_clip_count(page)),
+            paper.PaperTable("Table 8", paper.read_durations(statistics)),
+            paper.PaperTable("Sec. 3", {"grasps": {paper.ALL_ROW_LABEL: self._errors()}}),
         ]
         about = [
             "the paper's settings: true hands, contact at 0 mm, all initial poses learnt from the same grasps",
@@ -82,12 +77,12 @@ class ReproduceArctic(Reproduce):
         return self.write(tables, good, about)
 
     def _errors(self) -> dict[str, float]:
-        """Return the mean rotation errors that the study measured within all grasps, in degrees."""
+        """Return the study's mean rotation errors within all grasps [deg]."""
         from getagrip.io import files
 
         path = self.out / "study.json"
         rows = [row for row in files.read_json(path)["summary"] if row["where"] == "inside"] if path.exists() else []
-        last = rows[-1]["object"] if rows else ""  # all objects, or the only one
+        last = rows[-1]["object"] if rows else ""  # the row of all objects, or of the only one
         means = {row["measure"]: row["mean"] for row in rows if row["object"] == last}
         keys = {"static": "static_rotation", "1-DoF": "one_dof_rotation"}
         return {name: math.degrees(means[key]) for name, key in keys.items() if means.get(key) is not None}

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from getagrip.cli.reproduce.paper_tables import PaperTable
 
 VISOR_FOCAL_PX = 5000.0 / 256.0 * 854.0
-"""HaMeR's focal length, which the paper takes, for VISOR's masks, 854 wide [px]."""
+"""HaMeR's focal length, as in the paper, for VISOR's masks, 854 px wide [px]."""
 EPIC_REQUIREMENTS = {
     "csv": RequiredFile(
         "EPIC-Grasps' table", ("epicgrasps_2431.csv", "code_epichor/image_sets/epicgrasps_2431.csv"), AUTHORS_CODE_URL
@@ -36,7 +36,8 @@ EPIC_REQUIREMENTS = {
         "https://github.com/epic-kitchens/epic-kitchens-download-scripts", ("P*/rgb_frames", "P*_*"),
     ),
     "cad": RequiredFile(
-        "the categories' CAD models", ("cad", "weights/obj_models/epichor_export_getagrip"), AUTHORS_CODE_URL, ("*.obj",)
+        "the categories' CAD models", ("cad", "weights/obj_models/epichor_export_getagrip"), AUTHORS_CODE_URL,
+        ("*.obj",),
     ),
     "priors": RequiredFile(
         "the authors' initial poses", ("pose_priors", "weights/pose_priors/epic"), AUTHORS_CODE_URL,
@@ -55,9 +56,9 @@ EPIC_HAND_SOURCES = {
 }
 EPIC_COLUMNS = {"IOU": "IOU", "SCA@0.8": "SCA-IOU 0.8", "SCA@0.6": "SCA-IOU 0.6"}
 EPIC_PAPER_METHODS = {"HOMan": "paper-homan", "Dynamic": "paper-dynamic", "1-DoF": "paper"}
-"""The paper's groups, and their methods, all by its energy and optimiser."""
+"""The paper's groups with their methods, which use its energy and optimiser."""
 EPIC_BASELINES = {"HOMan, ours": "homan"}
-"""The group of ours that has the paper's baseline by our energy and solver."""
+"""The paper's baseline with our energy and solver."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,24 +69,21 @@ class ReproduceEpic(Reproduce):
     """
 
     def run(self) -> int:
-        """Import, add hands, compare, and write the tables; 1 if anything failed or hands are still missing, else 0.
+        """Import, add hands, compare, and write the tables; 1 if a step failed or hands are still missing, else 0.
 
-        Raises ``UsageError``, which lists what is missing, before anything is done.
+        Raises ``UsageError`` with a list of missing files before the first step.
         """
-        from getagrip.bench.ablations import ComparisonOptions
+        from getagrip.bench.options import ComparisonOptions
         from getagrip.cli.datasets import Import, ImportEpic
         from getagrip.cli.import_hands import ImportHands, Trackers
         from getagrip.cli.study import Stats
         from getagrip.fitting.options import PriorsFile, SearchOptions
 
-        there, clips, statistics = (
-            find_required(EPIC_REQUIREMENTS, self.roots, EPIC_HAND_SOURCES.values()),
-            self.out / "clips",
-            self.out / "statistics",
-        )
+        needs = find_required(EPIC_REQUIREMENTS, self.roots, EPIC_HAND_SOURCES.values())
+        clips, statistics, mano = self.out / "clips", self.out / "statistics", needs["mano"]
         epic = ImportEpic(
-            csv=there["csv"], visor=there["visor"], frames=there["frames"], cad=there["cad"], focal=VISOR_FOCAL_PX,
-            priors=there["priors"],
+            csv=needs["csv"], visor=needs["visor"], frames=needs["frames"], cad=needs["cad"], focal=VISOR_FOCAL_PX,
+            priors=needs["priors"],
         )  # fmt: skip
         good = self.step("import epic", Import[ImportEpic](dataset=epic, out=clips, share=self.share, debug=self.debug))
         hamer, frankmocap = (EPIC_HAND_SOURCES[name].find(self.roots) for name in ("hamer", "frankmocap"))
@@ -94,10 +92,10 @@ class ReproduceEpic(Reproduce):
             print_note(f"next: run an estimator on {clips}/*/frames, and call this again")
             return 1
         hands = ImportHands(
-            paths=(hamer,), source="hamer", trackers=Trackers(), clips=clips, mano=there["mano"], debug=self.debug
+            paths=(hamer,), source="hamer", trackers=Trackers(), clips=clips, mano=mano, debug=self.debug
         )
         good &= self.step("import hands: HaMeR's", hands)
-        search = SearchOptions(init="priors", priors=PriorsFile(there["priors"]), priors_only=True, hands="as-given")
+        search = SearchOptions(init="priors", priors=PriorsFile(needs["priors"]), priors_only=True, hands="as-given")
         runs = {
             "methods": ComparisonOptions(methods=(*(EPIC_PAPER_METHODS | EPIC_BASELINES | OWN_METHODS).values(),)),
             "physical": ComparisonOptions(ablation="physical", methods=("paper", "soft-hinge")),
@@ -107,27 +105,27 @@ class ReproduceEpic(Reproduce):
             print_note(f"left out: Table 4 and 9. Missing: {EPIC_HAND_SOURCES['frankmocap'].advice}")
         else:
             files = self.out / "frankmocap"
-            good &= not self._hand_files(frankmocap, files, there["mano"])
+            good &= not self._hand_files(frankmocap, files, mano)
             sources = (f"frankmocap={files}", f"hamer={clips}")
             runs["hands"] = ComparisonOptions(hands=sources, methods=("paper", "paper-homan", *OWN_METHODS.values()))
         for name, compared in runs.items():
             good &= self.bench(name, search, compared)
-        table = Stats(source="epic-grasps", csv=there["csv"], out=statistics, json=statistics / "stats.json")
+        table = Stats(source="epic-grasps", csv=needs["csv"], out=statistics, json=statistics / "stats.json")
         good &= self.step("stats", table)
         about = [
-            f"the paper's settings: focal length {VISOR_FOCAL_PX:.0f} px (HaMeR's), only the authors' poses to start from",
+            f"the paper's settings: focal length {VISOR_FOCAL_PX:.0f} px (HaMeR's), initial poses only the authors'",
             "the paper's groups have its energy, optimiser and choice; the others are ours, with the same input",
             "in brackets the paper's printed numbers; bold and underlined: the best and the second of ours",
-        ]  # fmt: skip
+        ]
         return self.write(self._tables(frankmocap is not None), good, about)
 
     def _hand_files(self, source: Path, out: Path, mano: Path) -> list[Outcome]:
-        """Write FrankMocap's hands of every clip as ``out/<clip>.npz``; return what failed, which is printed."""
+        """Write FrankMocap's hands of every clip as ``out/<clip>.npz``; print and return the failures."""
         from getagrip.batch.clips import print_outcome
         from getagrip.batch.job import failed_outcome
         from getagrip.cli.import_hands import ImportHands, NewFrames, Trackers
         from getagrip.clip.read import read_header
-        from getagrip.geometry.camera import Lens
+        from getagrip.geometry.lens import Lens
 
         failed = []
         out.mkdir(parents=True, exist_ok=True)
@@ -144,13 +142,13 @@ class ReproduceEpic(Reproduce):
                     paths=(source / name,), source="frankmocap", trackers=Trackers(), new=new, mano=mano,
                     out=out / f"{name}.npz",
                 ).run()  # fmt: skip
-            except Exception as error:  # one clip's trouble must not end the others
+            except Exception as error:  # an error in one clip must not end the others
                 failed.append(failed_outcome(name, error))
                 print_outcome(failed[-1], self.debug)
         return failed
 
     def _tables(self, frankmocap: bool) -> list[PaperTable]:
-        """Read the benches' pages as the paper's tables."""
+        """Make the paper's tables from the benchmarks' numbers."""
         from getagrip.cli.reproduce.paper_tables import PaperTable, bench_values, describe_clip_count, read_durations
 
         def table(number: str, name: str, groups: dict[str, str], also: str = "") -> PaperTable:

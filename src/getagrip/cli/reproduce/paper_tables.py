@@ -1,7 +1,7 @@
 """The paper's tables in its layout, with our numbers, and its own in brackets: terminal, Markdown and LaTeX.
 
-``published.json`` holds the printed numbers, by the number of their table. A table has rows (categories or settings),
-groups (methods), and columns (metrics) of each group; groups of ours that the paper does not have come last.
+``published.json`` holds the printed numbers, by table. A table has rows (categories or settings), groups (methods), and
+columns (metrics) in each group; our additional groups come last.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Values = Mapping[str, Mapping[str, Mapping[str, float]]]
 """Measured numbers by group, row and column."""
 ALL_ROW_LABEL = "All"
 UNRANKED_COLUMNS = ("avg", "std", "max", "clips", "static", "1-DoF")
-"""Columns in which nothing is best."""
+"""Columns without a best value."""
 
 
 @cache
@@ -35,43 +35,43 @@ def published() -> Json:
 
 @dataclass(frozen=True)
 class PaperTable:
-    """A table of the paper, measured."""
+    """A table of the paper with our measurements."""
 
     number: str
-    """Its number, a key of ``published.json``."""
+    """Number of the table, a key of ``published.json``."""
     measured: Values
     note: str = ""
-    """Remark on what was measured."""
+    """Remark on the measurements."""
 
     @property
     def title(self) -> str:
-        """Its number and title."""
+        """Number and title."""
         return f"{self.number}: {published()[self.number]['title']}"
 
     @property
     def columns(self) -> list[str]:
-        """The metrics."""
+        """Names of the metrics."""
         return list(published()[self.number]["columns"])
 
     @property
     def groups(self) -> list[str]:
-        """The paper's methods, then ours."""
+        """Names of the methods, the paper's first."""
         return [*dict.fromkeys([*published()[self.number]["groups"], *self.measured])]
 
     @property
     def rows(self) -> list[str]:
-        """The paper's rows, then categories that it does not have, all of them last."""
+        """Names of the rows: the paper's, additional categories, then the row of all."""
         known = [*(row for group in published()[self.number]["groups"].values() for row in group)]
         rows = [*dict.fromkeys([*known, *(row for group in self.measured.values() for row in group)])]
         return sorted(rows, key=ALL_ROW_LABEL.__eq__)
 
     def printed(self, group: str, row: str, column: str) -> float:
-        """Return the paper's number; NaN where it has none."""
+        """Return the paper's number; NaN if missing."""
         numbers = published()[self.number]["groups"].get(group, {}).get(row)
         return math.nan if numbers is None else float(numbers[self.columns.index(column)])
 
     def cell(self, group: str, row: str, column: str, latex: bool) -> str:
-        """Write our number, marked where it is the best or the second of its row, and the paper's in brackets."""
+        """Write our number, marked as best or second best of its row, with the paper's in brackets."""
         ours = {g: self.measured.get(g, {}).get(row, {}).get(column, math.nan) for g in self.groups}
         known = sorted({round(v, 1) for v in ours.values() if not math.isnan(v)}, reverse=True)
         ranked = column not in UNRANKED_COLUMNS and len(known) > 1
@@ -85,23 +85,18 @@ class PaperTable:
         return shown if math.isnan(printed) else f"{shown} ({_format_table_number(printed, column)})"
 
     def grids(self) -> Iterator[tuple[str, list[list[str]]]]:
-        """Yield a grid for each column, rows by groups; one grid, rows by columns, where there is one group."""
+        """Yield a grid for each column, rows by groups; for a single group one grid, rows by columns."""
         if len(self.groups) == 1:
             (group,) = self.groups
-            yield (
-                "",
-                [
-                    ["", *self.columns],
-                    *([r, *(self.cell(group, r, c, False) for c in self.columns)] for r in self.rows),
-                ],
-            )
+            body = [[row, *(self.cell(group, row, column, False) for column in self.columns)] for row in self.rows]
+            yield "", [["", *self.columns], *body]
             return
         for column in self.columns:
             body = [[row, *(self.cell(group, row, column, False) for group in self.groups)] for row in self.rows]
             yield column, [["", *self.groups], *body]
 
     def latex(self) -> str:
-        """Write it in the paper's layout (needs booktabs, and xcolor with its option table)."""
+        """Make the table in the paper's layout (needs booktabs, and xcolor with its option table)."""
         width = len(self.columns)
         heads = [rf"\multicolumn{{{width}}}{{c}}{{{LATEX_STYLE.text(group)}}}" for group in self.groups]
         lines = [
@@ -119,7 +114,7 @@ class PaperTable:
 
 
 def _format_table_number(value: float, column: str) -> str:
-    """Write a number: counts whole, seconds with two decimals, shares with one."""
+    """Format a number: counts without decimals, seconds with two, shares with one."""
     digits = {"clips": 0, "avg": 2, "std": 2, "max": 2}.get(column, 1)
     return "–" if math.isnan(value) else f"{value:.{digits}f}"
 
@@ -141,9 +136,9 @@ def write_paper_tables(tables: Sequence[PaperTable], out: Path, about: Sequence[
 
 
 def bench_values(page: Path, label: str, columns: Mapping[str, str]) -> dict[str, dict[str, float]]:
-    """Return a variant's means in per cent, by category, from a page that ``bench --json`` wrote.
+    """Return a variant's means in per cent, by category, from a file of ``bench --json``; empty without results.
 
-    ``columns`` maps the paper's columns to ours. Without results, or where all have failed, there is none.
+    ``columns`` maps the paper's columns to ours.
     """
     found: dict[str, dict[str, float]] = {}
     tables = _read_bench_tables(page)
@@ -159,17 +154,17 @@ def bench_values(page: Path, label: str, columns: Mapping[str, str]) -> dict[str
 
 
 def describe_clip_count(page: Path) -> str:
-    """Say on how many clips such a page is."""
+    """Describe the number of clips of a file of ``bench --json``."""
     return "".join(f"On {format_count(table['clips'], 'clip')}." for table in _read_bench_tables(page)[:1])
 
 
 def _read_bench_tables(page: Path) -> Sequence[Json]:
-    """Return the tables of a page; none where no clip gave a result."""
+    """Return the tables of a file of ``bench --json``; empty where the file is missing, since no clip succeeded."""
     return files.read_json(page)["tables"] if page.is_file() else ()
 
 
 def read_durations(page: Path) -> Values:
-    """Return the statistics that ``stats --json`` wrote, in seconds."""
+    """Read the statistics of ``stats --json`` [s]."""
     keys = {"avg": "mean", "std": "std", "max": "longest", "clips": "clips"}
     rows = files.read_json(page)["durations"]
     return {"grasps": {row["category"]: {name: row[key] for name, key in keys.items()} for row in rows}}

@@ -1,8 +1,6 @@
-"""The base of the reproductions: the steps that datasets share, each the body of a verb of its own.
+"""The base of the reproductions: steps that run other commands, and required files with their download pages.
 
-Every verb keeps what exists, so a call that is repeated continues where the last one stopped.
-
-The files of others that a reproduction needs: where they are looked for, and where to get those that are missing.
+Every command keeps existing results, so a repeated call continues where the last one stopped.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from getagrip.io.options import Folder
 from getagrip.io.terminal import print_note
 
 if TYPE_CHECKING:
-    from getagrip.bench.ablations import ComparisonOptions
+    from getagrip.bench.options import ComparisonOptions
     from getagrip.cli.reproduce.paper_tables import PaperTable
     from getagrip.fitting.options import SearchOptions
 
@@ -30,18 +28,18 @@ AUTHORS_CODE_URL = "https://github.com/zhifanzhu/objects-along-hit"
 
 @dataclass(frozen=True)
 class RequiredFile:
-    """A file or folder of others."""
+    """A file or folder of another project."""
 
     what: str
     places: tuple[str, ...]
-    """Paths below any of the given folders; the first that is there counts."""
+    """Possible paths below the user's folders; the first existing one is used."""
     source: str
-    """Place to get it from."""
+    """Download page."""
     holds: tuple[str, ...] = ()
-    """Patterns of which a folder has at least one; none for a file."""
+    """Patterns of contents, one of which a folder must match; empty for a file."""
 
     def find(self, roots: Sequence[Path]) -> Path | None:
-        """Return its place; None where it is missing."""
+        """Return the path; None where it is missing."""
         for place in (root / place for root in roots for place in self.places):
             if place.is_file() if not self.holds else any(next(place.glob(held), None) for held in self.holds):
                 return place
@@ -49,8 +47,8 @@ class RequiredFile:
 
     @property
     def advice(self) -> str:
-        """Say what it is, how it has to be called, and where to get it."""
-        place = Path("ROOT", self.places[0], *self.holds[:1])  # other names that are found need not be made
+        """Describe the file, its download page and its path."""
+        place = Path("ROOT", self.places[0], *self.holds[:1])
         return f"{self.what}: {self.source}; put it at {place.as_posix()}"
 
 
@@ -62,9 +60,9 @@ MANO_DOWNLOAD = RequiredFile(
 def find_required(
     needs: dict[str, RequiredFile], roots: Sequence[Path], later: Iterable[RequiredFile] = ()
 ) -> dict[str, Path]:
-    """Return the place of each. Raises ``UsageError`` where some are missing; where to get each is printed before.
+    """Return the path of each required file. Raises ``UsageError`` for missing files, after printing how to get them.
 
-    What is needed ``later`` is printed with it.
+    Missing files among ``later`` are printed too.
     """
     places = {name: need.find(roots) for name, need in needs.items()}
     if missing := [need for name, need in needs.items() if places[name] is None]:
@@ -79,9 +77,7 @@ def find_required(
 
 
 OWN_METHODS = {"1-DoF, ours": "one-dof", "soft hinge": "soft-hinge"}
-"""Groups of ours that follow the paper's, and their methods."""
-WARNING_EXIT_STATUS = 3
-"""Exit status of an import that has succeeded with a warning."""
+"""Our groups, after the paper's, with their methods."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,12 +93,14 @@ class Reproduce(Command):
     share: Executors = field(default_factory=SchedulingOptions)
 
     def step(self, words: str, command: Command) -> bool:
-        """Run a verb, and return whether all of it succeeded."""
+        """Run a command, and return whether it succeeded, with a warning or without."""
+        from getagrip.batch.import_dataset import CAMERA_WARNING_STATUS
+
         print_note(f"== {words}")
-        return command.run() in (0, WARNING_EXIT_STATUS)
+        return command.run() in (0, CAMERA_WARNING_STATUS)
 
     def bench(self, name: str, search: SearchOptions, compared: ComparisonOptions) -> bool:
-        """Compare methods on the clips into ``bench/NAME.json``, and return whether nothing failed."""
+        """Compare methods on the clips into ``bench/NAME.json``, and return whether all clips succeeded."""
         from getagrip.bench.sources.source import ClipFolder
         from getagrip.cli.bench import BenchGrasps
 
@@ -117,9 +115,9 @@ class Reproduce(Command):
         return self.out / "bench" / f"{name}.json"
 
     def write(self, tables: Sequence[PaperTable], good: bool, about: Sequence[str]) -> int:
-        """Write the tables; return 0, or 1 where some of it failed."""
+        """Write the tables; return 0 if all steps were ``good``, else 1."""
         from getagrip.cli.reproduce.paper_tables import write_paper_tables
 
-        failed = [] if good else ["some clips failed: the lines above say which; this command goes on where it stopped"]
+        failed = [] if good else ["some clips failed, as listed above; call again to continue with them"]
         write_paper_tables(tables, self.out, [*about, *failed])
         return 0 if good else 1

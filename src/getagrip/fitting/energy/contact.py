@@ -1,8 +1,6 @@
-"""The bodies in contact: the hand's contact regions and the object, as the push and pull terms read them.
+"""E_push and E_pull (appendix): push the object out of the hand's contact regions, and pull fingertips to it.
 
-E_push (appendix): the object is pushed out of the hand's contact regions.
-
-E_pull (appendix): each fingertip is drawn to the object.
+Both terms measure signed distances of the hand's contact vertices to the object's surface, a ``FaceGrid``.
 """
 
 from __future__ import annotations

@@ -130,7 +130,6 @@ def _squared_distances(R, centre, scale, points, hand, distance, a):
 
 @kernel()
 def _multiply_rows(h, a, out):
-    """Rows of a (7, D) times h (D,)."""
     for p in range(7):
         for k in range(len(h)):
             out[p, k] = h[k] * a[p, k]

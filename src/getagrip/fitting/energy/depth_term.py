@@ -1,4 +1,4 @@
-"""E_depth: how far the visible surfaces of object and hand are from where depth images say, up to what those may err.
+"""E_depth: distance of the visible surfaces of object and hand from those in depth images, up to the images' errors.
 
 At a sample, r = log z - log z' compares the distance z of the posed surface with the z' of the image, which errs by
 
@@ -8,20 +8,17 @@ a factor of the clip (a) and of the frame (b_n), a relief that is too flat or to
 d), a hand that is off against the object (h, on the hand), a warp (a polynomial over the image, the same in all
 frames), and noise with heavy tails. Each has a prior of zero mean and a given deviation: that of a is small where depth
 is metric, and large where its scale is unknown; the warp's has heavy tails, so that one larger than hands are off costs
-little, and moves nothing. The energy is its minimum over all of them (they are *profiled out*): with Student's log for
+little, and moves nothing. The energy is its minimum over all errors (they are *profiled out*): with Student's log for
 the noise,
 
     Q = min  sum over n, i of w_ni c^2 log(1 + (r - a - b_n - g d - h - warp)^2 / (c sigma)^2) + costs of the priors
     E = weight * N kappa log(1 + Q / (N kappa))
 
-At the minimum the derivatives of Q by the errors vanish, so the gradient of Q is that at fixed ones; its curvature is
-less, and ties all frames to each other (Schur complement). The outer logarithm lets depth count the less the worse it
-fits at its best: that of another scene.
+At the minimum the derivatives of Q by the errors vanish, so the gradient of Q is that at fixed errors; its curvature is
+less, and ties all frames to each other (Schur complement). The outer logarithm reduces the weight of depth that fits
+badly at its best, as another scene's does.
 
-Without a moving hand the hand's samples say what a is, as accurately as the input hand is known: sigma is larger
-there.
-
-Samples of a clip's depth images on the visible pixels of its object and its hand, and what the images may err by.
+Without a moving hand the hand's samples tell a, as accurately as the input hand is known: their sigma is larger.
 """
 
 from __future__ import annotations
@@ -45,25 +42,34 @@ from getagrip.geometry.mesh import Mesh, decimate
 from getagrip.geometry.rasterize import depth_and_face
 
 DEPTH_TAIL_SIGMAS = 2.5
-"""c: errors count less and less beyond this many deviations."""
+"""c: deviations beyond which an error counts less and less."""
 N_DEPTH_SCALE_ERRORS = 3
 """Errors of a clip before its warp: g, h, a."""
 DEPTH_MISFIT_KAPPA = 20.0
-"""Misfit of a frame at which depth counts half [squared deviations]."""
+"""Misfit of a frame at which depth has half its weight [squared deviations]."""
 RAY_MISS_ERROR = 0.1
-"""Error that a sample has whose ray misses the surface [share of the distance]."""
+"""Error of a sample whose ray misses the surface [fraction of the distance]."""
 HAND_DISTANCE_SIGMA, HAND_SURFACE_SIGMA = 0.02, 0.015
-"""Error of the input hand's distance, the same in all frames, and of its surface [shares of the distance]: 13 to 18 mm,
-and what 0.28 rad do to a surface 5 cm from the middle, at arm's length."""
-MAX_IRLS_ITERATIONS = 12
-"""Most iterations by which the image's errors are found (iteratively reweighted least squares)."""
-IRLS_TOLERANCE = 1e-2
-"""They are found when none moves by more [deviations of the noise]."""
+"""Error of the input hand's distance, the same in all frames, and of its surface [fractions of the distance]: 13 to 18
+mm, and the effect of 0.28 rad on a surface 5 cm from the middle, at arm's length."""
+MAX_IRLS_ITERATIONS, IRLS_TOLERANCE = 12, 1e-2
+"""Maximum number of iterations for the images' errors (iteratively reweighted least squares), and step of the errors
+that ends them [deviations of the noise]."""
+N_INDEPENDENT_SAMPLES = 6.0
+"""Independent samples of each body in a frame: its errors are smooth."""
+MIN_BODY_SAMPLES = 20
+"""Number of samples of a body in a frame below which a sample's weight grows no further."""
+DEPTH_PIXEL_STRIDE = 2
+"""Step between the samples of a row, and of a column; the pixels between tell where borders are."""
+DEPTH_OUTLIER_THRESHOLD = 0.25
+"""Deviation from the median of their body beyond which samples show another thing [fraction of the distance]."""
+NETWORK_WARP_SIGMA, SENSOR_WARP_SIGMA = 0.01, 1e-6
+"""Deviations of a warp's coefficients: a network's, and none of a sensor, whose depth tells how a hand is tilted."""
 
 
 @dataclass(frozen=True)
 class DepthErrors:
-    """Deviations of what a depth image may err by, as shares of the distance: sigma, a, b_n, h, warp; of relief: g."""
+    """Standard deviations of depth images' errors: sigma, a, b_n, h, warp [fractions of distance]; g [of relief]."""
 
     noise: float
     clip: float
@@ -81,10 +87,10 @@ class DepthSamples:
         K: (N, 4) fx, fy, cx, cy of the images.
         size: side of the images [px].
         place: (N, M, 2) row and column of each sample.
-        on_object, used: (N,) how many are on the object, and on object and hand.
+        on_object, used: (N,) number of samples on the object, and on object and hand.
         log_z: (N, M) logarithm of the depth.
-        relief: (N, M) how much farther they are than the mean of their frame, as a share.
-        weight: (N, M) in how many independent samples each counts; 0 beyond ``used``.
+        relief: (N, M) logarithm of the depth, less its mean in the frame.
+        weight: (N, M) number of independent samples that each counts as; 0 beyond ``used``.
         input: (N, M) logarithm of the input hand's distance; NaN where the ray misses it.
     """
 
@@ -118,7 +124,7 @@ class DepthSamples:
 
 @dataclass(frozen=True)
 class Solid:
-    """A triangle mesh as the kernel reads it: vertices and planes about its centre, in each frame or in all (N = 1)."""
+    """A triangle mesh as the kernel reads it: vertices and planes about its centre, per frame or for all (N = 1)."""
 
     vertices: Float[ndarray, "N 3 V"]
     planes: Float[ndarray, "N 4 F"]
@@ -152,7 +158,7 @@ class DepthTerm:
         object: the object's mesh.
         hand: the hand's mesh in its own frame, in each frame.
         samples: the depth images.
-        errors: what these may err by.
+        errors: the images' errors.
         weight: energy per squared deviation of an independent sample [px^2].
     """
 
@@ -169,12 +175,9 @@ class DepthTerm:
         return np.asarray(DEPTH_MISFIT_KAPPA * np.expm1(total / DEPTH_MISFIT_KAPPA))
 
     def warp(self, poses: PosesInCamera) -> Float[ndarray, "B"]:
-        """Return how far the images are found to be warped, root mean square over samples [share of the distance]."""
-        of_clip, warps = (
-            self._fitted(poses, no_bound(poses))[1][:, N_DEPTH_SCALE_ERRORS:],
-            self.samples.modes[:, N_DEPTH_SCALE_ERRORS:],
-        )
-        off = np.einsum("bk,nkm->bnm", of_clip, warps)
+        """Measure the images' warp, root mean square over samples [fraction of the distance]."""
+        errors, modes = self._fitted(poses, no_bound(poses))[1], self.samples.modes
+        off = np.einsum("bk,nkm->bnm", errors[:, N_DEPTH_SCALE_ERRORS:], modes[:, N_DEPTH_SCALE_ERRORS:])
         return np.sqrt(np.average(off.reshape(len(off), -1) ** 2, axis=1, weights=self.samples.weight.ravel()))
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
@@ -183,11 +186,9 @@ class DepthTerm:
     def _fitted(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> tuple[Quadratic, Float[ndarray, "B K"]]:
         """Return the term, and the errors that all frames share (``DepthSamples.modes``)."""
         (B, N), s, o = poses.centre.shape[:2], self.samples, self.object
-        moves = isinstance(poses, ObjectWithHand)
-        hand, solid = poses, self.hand
-        if isinstance(poses, ObjectWithHand):
-            hand, solid = poses.hand, self.hand.about(poses.hand.middle)
-        P = 14 if moves else 7
+        hand, solid, P = poses, self.hand, 7
+        if moves := isinstance(poses, ObjectWithHand):
+            hand, solid, P = poses.hand, self.hand.about(poses.hand.middle), 14
         q = replace(Quadratic.zero(poses, P), cross=np.zeros((B, N, P, N, P)))
         K, e = s.modes.shape[1], self.errors
         of_clip, of_frame, left = np.zeros((B, K)), np.zeros((B, N)), np.zeros((B, *s.log_z.shape))
@@ -256,22 +257,9 @@ def _evaluate_depth(
             value[b] = np.inf
             continue
         profile(
-            r,
-            w,
-            modes,
-            priors,
-            N_DEPTH_SCALE_ERRORS,
-            sigmas,
-            DEPTH_TAIL_SIGMAS,
-            rounds,
-            exact,
-            u,
-            left[b],
-            sums,
-            A,
-            of_clip[b],
-            of_frame[b],
-        )
+            r, w, modes, priors, N_DEPTH_SCALE_ERRORS, sigmas, DEPTH_TAIL_SIGMAS, rounds, exact, u, left[b], sums, A,
+            of_clip[b], of_frame[b],
+        )  # fmt: skip
         shared = prior_cost(of_clip[b], priors, N_DEPTH_SCALE_ERRORS)[0] / N
         total = 0.0
         for n in range(N):
@@ -330,24 +318,11 @@ def _add_depth_derivatives(slope, J, u, left, modes, on_object, used, moves, sum
                     cross[n, p, o, q] = cross[o, q, n, p] = -slope * dot(tied[n, p], tied[o, q])
 
 
-N_INDEPENDENT_SAMPLES = 6.0
-"""Independent samples of each body in a frame: its errors are smooth."""
-MIN_BODY_SAMPLES = 20
-"""Samples of a body in a frame below which each counts as if there were that many."""
-DEPTH_PIXEL_STRIDE = 2
-"""One sample in two of a row, and of a column, is used; the others tell where borders are."""
-DEPTH_OUTLIER_THRESHOLD = 0.25
-"""Samples beyond the middle of their body by more are of something else [share of the distance]."""
-
-NETWORK_WARP_SIGMA, SENSOR_WARP_SIGMA = 0.01, 1e-6
-"""Deviations of a warp's coefficients: a network's, and none of a sensor, whose depth tells how a hand is tilted."""
-
-
 def depth_errors_of(source: DepthSource) -> DepthErrors:
-    """Return what depth of a source may err by.
+    """Return the assumed errors of a source's depth.
 
     The factor of a sensor's depth errs by more than its deviation here. But its prior counts once a clip, and samples
-    of all frames count as independent: with a larger deviation, smooth errors that last would draw the object away.
+    of all frames count as independent: with a larger deviation, lasting smooth errors would draw the object away.
     """
     sensor, free = source.source == "sensor", 1.0
     return DepthErrors(
@@ -361,12 +336,10 @@ def depth_errors_of(source: DepthSource) -> DepthErrors:
 
 
 def sample_depth(clip: Clip, masks: Masks, depth: Depth, most: int) -> DepthSamples:
-    """Return at most ``most`` samples on the visible pixels of each of object and hand, but none at their borders."""
-    given = render_hand_depth(clip, depth)
-    bodies = [
-        body[:, ::DEPTH_PIXEL_STRIDE, ::DEPTH_PIXEL_STRIDE] for body in body_masks(clip, masks, depth, given < np.inf)
-    ]
-    depth, given = depth.thinned(DEPTH_PIXEL_STRIDE), given[:, ::DEPTH_PIXEL_STRIDE, ::DEPTH_PIXEL_STRIDE]
+    """Sample at most ``most`` visible pixels of each of object and hand, away from their borders."""
+    given, thinned = render_hand_depth(clip, depth), (slice(None), *[slice(None, None, DEPTH_PIXEL_STRIDE)] * 2)
+    bodies = [body[thinned] for body in body_masks(clip, masks, depth, given < np.inf)]
+    depth, given = depth.thinned(DEPTH_PIXEL_STRIDE), given[thinned]
     parts = [[_sample_body(body[n], depth.z[n], most) for body in bodies] for n in range(len(depth))]
     on_object = np.array([len(part[0]) for part in parts])
     used = on_object + [len(part[1]) for part in parts]
@@ -379,9 +352,8 @@ def sample_depth(clip: Clip, masks: Masks, depth: Depth, most: int) -> DepthSamp
         log_z[n, :end] = np.log(depth.z[n, rows, columns])
         relief[n, :end] = log_z[n, :end] - log_z[n, :end].mean() if end else 0.0
         of_hand[n, :end] = np.log(given[n, rows, columns])
-        weight[n, :end] = np.repeat(
-            [N_INDEPENDENT_SAMPLES / max(len(one), MIN_BODY_SAMPLES) for one in part], [len(one) for one in part]
-        )
+        counts = [len(places) for places in part]
+        weight[n, :end] = np.repeat([N_INDEPENDENT_SAMPLES / max(m, MIN_BODY_SAMPLES) for m in counts], counts)
     of_hand[~np.isfinite(of_hand)] = np.nan
     K = depth.intrinsics(clip)
     fxfycxcy = np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 2], K[:, 1, 2]], axis=1)
@@ -398,9 +370,9 @@ def render_hand_depth(clip: Clip, depth: Depth) -> Float[ndarray, "T n n"]:
 def body_masks(
     clip: Clip, masks: Masks, depth: Depth, drawn: Bool[ndarray, "T n n"]
 ) -> tuple[Bool[ndarray, "T n n"], Bool[ndarray, "T n n"]]:
-    """Return which samples show the object and which the hand, without those at borders.
+    """Return the samples that show the object and those that show the hand, without borders.
 
-    Without masks of the hand, the ignored pixels that the input hand covers (``drawn``) are taken for it.
+    Without masks of the hand, the ignored pixels that the input hand covers (``drawn``) count as the hand's.
     """
     seen, hidden = depth.of_masks(masks.object, clip.size), depth.of_masks(masks.ignore, clip.size)
     hand = hidden & drawn if masks.hand is None else depth.of_masks(masks.hand, clip.size)
@@ -412,7 +384,7 @@ def _erode_masks(masks: Bool[ndarray, "T n n"]) -> Bool[ndarray, "T n n"]:
 
 
 def _sample_body(mask: Bool[ndarray, "n n"], z: Float[ndarray, "n n"], most: int) -> Int[ndarray, "m 2"]:
-    """Return rows and columns of a body's samples that have depth near that of most."""
+    """Sample rows and columns of a body's pixels whose depth is near the body's median."""
     place = np.argwhere(mask & (z > 0.0))
     if len(place):
         found = z[tuple(place.T)]
@@ -421,7 +393,7 @@ def _sample_body(mask: Bool[ndarray, "n n"], z: Float[ndarray, "n n"], most: int
 
 
 def missing_and_outlier_fractions(clip: Clip, masks: Masks, depth: Depth) -> tuple[float, float]:
-    """Return the share of the visible surface without depth, and of what has some, the share far from the rest."""
+    """Return the fraction of the visible surface without depth, and the fraction of its depth far from the rest."""
     seen = np.zeros(3)
     for body in body_masks(clip, masks, depth, render_hand_depth(clip, depth) < np.inf):
         for mask, z in zip(body, depth.z, strict=True):
@@ -433,7 +405,7 @@ def missing_and_outlier_fractions(clip: Clip, masks: Masks, depth: Depth) -> tup
 
 
 def median_hand_depth_ratio(samples: DepthSamples) -> float:
-    """Return how many times as far away depth shows the hand as it is given: the median; NaN where it shows none."""
+    """Return the median ratio of the hand's distance in depth images to its input distance; NaN without samples."""
     on_hand = np.arange(samples.log_z.shape[1]) >= samples.on_object[:, None]
     off = (samples.log_z - samples.input)[on_hand & (samples.weight > 0.0)]
     off = off[np.isfinite(off)]
@@ -443,9 +415,9 @@ def median_hand_depth_ratio(samples: DepthSamples) -> float:
 def depth_deviation_at(
     clip: Clip, samples: DepthSamples, source: DepthSource, T_hand_obj: Float[ndarray, "T 4 4"], scale: float
 ) -> tuple[float, float]:
-    """Return how far depth is off an object in the input hand, and how far it is warped, root mean squares.
+    """Return depth's deviation from an object in the input hand, and its warp, root mean squares.
 
-    The first in what it may err by, its warp apart; the second as a share of the distance.
+    The deviation is in standard deviations of depth's errors, without the warp; the warp is a fraction of the distance.
     """
     T, mesh = clip.hand.T_cam_hand @ T_hand_obj, decimate(clip.mesh, 500)
     centre = se3.transform(T, scale * clip.mesh.centre[None, None])[:, 0]

@@ -1,7 +1,4 @@
-"""E_mask of the hand: pixels in which its silhouette differs from its mask.
-
-Reprojection of the hand's joints, as they were seen in the images.
-"""
+"""Terms on the hand: pixels in which its silhouette differs from its mask, and reprojection of its 2D joints."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from getagrip.geometry import se3
 
 @dataclass(frozen=True)
 class HandMaskTerm:
-    """Differing pixels of each frame by the hand's rigid motion and size; fingers are those given.
+    """Differing pixels of each frame by the hand's rigid motion and size; the fingers stay as in the input.
 
     Attributes:
         seen: the hand and its mask, with the mask's field.
@@ -38,9 +35,8 @@ class HandMaskTerm:
             contour = self.seen.contour(arm + centre[:, None])
             arm = np.take_along_axis(arm, contour.nearest[..., None], axis=1)
             grown = np.sum(arm * contour.along, axis=-1, keepdims=True)
-            value, g, H = contour.quadratic(
-                np.concatenate([contour.along, np.cross(arm, contour.along), grown], axis=-1)
-            )
+            J = np.concatenate([contour.along, np.cross(arm, contour.along), grown], axis=-1)
+            value, g, H = contour.quadratic(J)
             found.value[b] = self.weight * value
             found.g[b, :, :7], found.H[b, :, :7, :7] = self.weight[:, None] * g, self.weight[:, None, None] * H
         return found

@@ -1,9 +1,4 @@
-"""Temporal smoothness (HOMan): vertices move little from one frame to the next, as the camera sees them.
-
-Interaction (HOMan): the object's centre is drawn to the hand's.
-
-Reprojection (HOMan): points of a body stay where they were observed in the image.
-"""
+"""HOMan's terms, and those built like them: interaction, smoothness and bending in time, and reprojection."""
 
 from __future__ import annotations
 
@@ -19,7 +14,7 @@ from getagrip.geometry import se3
 
 @dataclass(frozen=True)
 class InteractionTerm:
-    """``weight * |c_object - c_hand|^2``."""
+    """Draws the object's centre to the hand's: ``weight * |c_object - c_hand|^2``."""
 
     hand: Float[ndarray, "N 3"]
     """The hand's centre in the camera frame [m]."""
@@ -34,12 +29,10 @@ class InteractionTerm:
 
 
 def vertex_moments(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "4 4"]:
-    """Compute four weighted points (rows.
+    """Compute four weighted points that move, squared and summed, as the vertices do on average.
 
-    X, y, z and weight) that move, squared and summed, as the vertices do on average.
-
-    The mean over the vertices of ``|A x - B x|^2`` for affine A and B depends on them by the mean of ``x x^T`` alone, x
-    homogeneous; these are the rows of a root of it.
+    Rows are x, y, z and weight. The mean over the vertices of ``|A x - B x|^2``, for affine A and B, depends on the
+    vertices by the mean of ``x x^T`` alone, x homogeneous; the points are the rows of a root of that mean.
     """
     homogeneous = np.concatenate([vertices, np.ones((len(vertices), 1))], axis=1)
     values, vectors = np.linalg.eigh(homogeneous.T @ homogeneous / len(vertices))
@@ -50,7 +43,7 @@ def vertex_moments(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "4 4"]:
 class SmoothnessTerm:
     """``weight * mean over vertices of |x(n+1) - x(n)|^2``, summed over neighbouring frames, in the camera frame.
 
-    Half of a pair's energy stands in either frame's value.
+    Each frame of a pair has half of the pair's energy in its value.
     """
 
     moments: Float[ndarray, "4 4"]
@@ -65,9 +58,7 @@ class SmoothnessTerm:
         arm = poses.scale[:, None, None, None] * points @ np.swapaxes(poses.R, -1, -2)
         step = np.diff(arm + share * poses.centre[:, :, None], axis=1)
         pair = self.weight * np.sum(step**2, axis=(2, 3))
-        by_step = np.empty((B, N, 4, 3, 7))
-        by_step[..., :3], by_step[..., 3:6], by_step[..., 6] = share[..., None] * np.eye(3), -se3.hat(arm), arm
-        J = by_step.reshape(B, N, 12, 7)
+        J = _moments_jacobian(arm, share)
         Jt = np.swapaxes(J, -1, -2)
         pull = 2.0 * self.weight * step.reshape(B, N - 1, 12, 1)
         value, g = np.zeros((B, N)), np.zeros((B, N, 7))
@@ -87,6 +78,13 @@ class SmoothnessTerm:
         return Quadratic(value, g, H, cross)
 
 
+def _moments_jacobian(arm: Float[ndarray, "B N 4 3"], share: Float[ndarray, "4 1"]) -> Float[ndarray, "B N 12 7"]:
+    """Differentiate four weighted points, their arms from the centre posed, by each frame's local vector."""
+    J = np.empty((*arm.shape, 7))
+    J[..., :3], J[..., 3:6], J[..., 6] = share[..., None] * np.eye(3), -se3.hat(arm), arm
+    return J.reshape(*arm.shape[:2], 12, 7)
+
+
 @dataclass(frozen=True)
 class BendingTerm:
     """``weight * mean over vertices of |x''|^2``, summed over frames: the motion bends little, known frames included.
@@ -95,8 +93,8 @@ class BendingTerm:
         moments: as of ``SmoothnessTerm``.
         weight: energy [px^2 per (m per frame^2)^2].
         index: (N,) the frames of the poses, in their clip.
-        known: (n,) other frames, whose poses are fixed; there is one, or two of ``index``.
-        R, centre: the poses of these.
+        known: (n,) other frames, whose poses are fixed: at least one, or two in ``index``.
+        R, centre: the poses of the known frames.
     """
 
     moments: Float[ndarray, "4 4"]
@@ -111,12 +109,8 @@ class BendingTerm:
         (B, N), share = poses.centre.shape[:2], self.moments[:, 3:]
         scale = poses.scale[:, None, None, None]
         own, fixed = (scale * self.moments[:, :3] @ np.swapaxes(R, -1, -2) for R in (poses.R, self.R[None]))
-        by_step = np.empty((B, N, 4, 3, 7))
-        by_step[..., :3], by_step[..., 3:6], by_step[..., 6] = share[..., None] * np.eye(3), -se3.hat(own), own
-        J = by_step.reshape(B, N, 12, 7)
-        points = np.concatenate(
-            [own + share * poses.centre[:, :, None], fixed + share * self.centre[None, :, None]], axis=1
-        ).reshape(B, -1, 12)
+        J, known = _moments_jacobian(own, share), fixed + share * self.centre[None, :, None]
+        points = np.concatenate([own + share * poses.centre[:, :, None], known], axis=1).reshape(B, -1, 12)
         bends = np.sqrt(self.weight) * second_differences(np.concatenate([self.index, self.known]))
         bent, to_own = bends @ points, bends[:, :N]
         value = np.repeat(np.sum(bent**2, axis=(1, 2))[:, None] / N, N, axis=1)
@@ -130,9 +124,9 @@ class BendingTerm:
 
 
 def second_differences(frames: Int[ndarray, "N"]) -> Float[ndarray, "M N"]:
-    """Return the matrix that takes values at frames, in any order, to second derivatives at those between two others.
+    """Return the matrix from values at frames, in any order, to second derivatives at all frames but first and last.
 
-    Each is multiplied by the root of the time that it stands for, so that their squares sum to an integral.
+    Each derivative is multiplied by the root of its frame's time span, so that their squares sum to an integral.
     """
     order = np.argsort(frames)
     before, after = np.diff(frames[order])[:-1].astype(float), np.diff(frames[order])[1:].astype(float)
@@ -145,7 +139,7 @@ def second_differences(frames: Int[ndarray, "N"]) -> Float[ndarray, "M N"]:
 
 @dataclass(frozen=True)
 class TermInFrame:
-    """Another term, at poses in another frame than the camera's. Its derivatives are taken back to the camera's."""
+    """A term evaluated in a frame other than the camera's; its derivatives are transformed back to the camera's."""
 
     term: Term
     T_frame_cam: Float[ndarray, "N 4 4"]
@@ -170,7 +164,10 @@ class TermInFrame:
 
 @dataclass(frozen=True)
 class ReprojectionTerm:
-    """``weight * mean over points of |pi(x) - u|^2``, pi the pinhole projection of the crop."""
+    """Draws a body's points to their observed places u: ``weight * mean over points of |pi(x) - u|^2``.
+
+    pi is the pinhole projection of the crop.
+    """
 
     points: Float[ndarray, "N P 3"]
     """Points of the body in each frame, about its centre, unscaled [m]."""

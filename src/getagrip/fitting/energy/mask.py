@@ -1,13 +1,10 @@
 """E_mask (Eq. 6): pixels in which the rendered and the observed object mask differ, where nothing hides them.
 
-Gaps between the object's masks and those of what hides it: what lies in them tells nothing.
-
-Where a hand hides an object, the one's mask begins where the other's ends. Masks of annotators and networks often leave
-a few pixels between them that are neither's. Counted as background, these say that the object ends there, though it
-goes on behind the hand: at the true pose they are in the silhouette and not in the mask, nothing elsewhere makes up for
-it, and the object is drawn away from the hand.
-
-The masks of a clip, cropped, at several resolutions, in the form the mask term reads.
+The observation crops a clip's masks at several resolutions, for the term to compare silhouettes with. Pixels in gaps
+between the object's mask and its occluder's do not count: masks of annotators and networks often leave a few pixels
+between the two that belong to neither. Counted as background, these pixels would end the object at its mask, though the
+object continues behind the hand; at the true pose they are silhouette and not mask, no other pixel compensates, and the
+object is drawn away from the hand.
 """
 
 from __future__ import annotations
@@ -37,14 +34,26 @@ from getagrip.geometry.kernels.silhouette import (
 )
 from getagrip.geometry.mesh import Mesh
 
+MASK_CROP_SIZE_PX = 256
+"""Side of the crops [px]: the paper's render_size."""
+MASK_LEVELS_PX = (64, 128, 256)
+DISTANCE_FIELD_SIZE_PX = 128
+"""Side of the distance fields [px]."""
+R2_SEQUENCE_STEP = np.array([0.7548776662466927, 0.5698402909980532])
+"""Multiples of these fill the unit square evenly, modulo 1."""
+N_COVERAGE_TARGETS = 28
+"""Observed boundary points per frame in the coverage term."""
+MAX_CONTOUR_POINTS = 1500
+"""Contour points kept per image; far more than any 256-pixel contour gives at the steps in use."""
 MAX_GAP_PX = 12
-"""Widest gap [px of the crop]."""
+"""Maximum width of a gap [px of the crop]."""
 OPPOSITE_SIDES_COSINE = np.cos(np.radians(120.0))
-"""A gap's pixel has the object on one side and what hides it on the other; by the cosine of the angle between them."""
+"""Maximum cosine between the directions from a gap's pixel to the object and to its occluder."""
 GAP_SHARE = 0.4
-"""Masks have gaps where these are so large a share of the border. Exact masks have pixels between the two, too, in the
-corners where the object's outline goes behind the hand: less, in nine clips of ten. (Medians over DexYCB's training
-subjects: exact 0.23, gaps of 1 px 0.66, of 2 px 0.95; contours off by 1, 2 and 4 px 0.37, 0.57 and 0.65.)"""
+"""Fraction of the border above which pixels between the masks are gaps. Exact masks have pixels between the two as
+well, in the corners where the object's outline goes behind the hand: fewer, in nine clips of ten. (Medians over
+DexYCB's training subjects: exact 0.23, gaps of 1 px 0.66, of 2 px 0.95; contours off by 1, 2 and 4 px 0.37, 0.57 and
+0.65.)"""
 _Y, _X = np.mgrid[-MAX_GAP_PX : MAX_GAP_PX + 1, -MAX_GAP_PX : MAX_GAP_PX + 1].reshape(2, -1)
 _OFFSET_ORDER = np.argsort(_X * _X + _Y * _Y, kind="stable")
 _OFFSETS = np.stack([_X, _Y], axis=1)[_OFFSET_ORDER][1:]
@@ -54,10 +63,10 @@ _OFFSETS = np.stack([_X, _Y], axis=1)[_OFFSET_ORDER][1:]
 def find_gap_pixels(
     observed: Bool[ndarray, "N s s"], hidden: Bool[ndarray, "N s s"], share: float = GAP_SHARE
 ) -> Bool[ndarray, "N s s"]:
-    """Return the pixels of a clip's crops in gaps between the object's masks and what hides it.
+    """Find the pixels of a clip's crops in gaps between the object's masks and its occluders'.
 
-    The nearest pixels of both are on opposite sides of these, and a gap is at most ``MAX_GAP_PX`` pixels wide. There are
-    none unless gaps are more than ``share`` of the border of both: no masks have any by 1, all that keep apart by 0.
+    The nearest pixels of both are on opposite sides of a gap's pixel, and a gap is at most ``MAX_GAP_PX`` pixels wide.
+    No pixels where gaps are at most ``share`` of the border of both: 1 finds gaps in no masks, 0 in all separate ones.
     """
     if share >= 1.0:
         return np.zeros_like(observed)
@@ -100,17 +109,6 @@ def _keep_gaps(observed, hidden, offsets, found):
             found[i, j] = both and x0 * x1 + y0 * y1 <= OPPOSITE_SIDES_COSINE * to_object * to_hidden
 
 
-MASK_CROP_SIZE_PX = 256
-"""Side of the crops [px]: the paper's render_size."""
-MASK_LEVELS_PX = (64, 128, 256)
-DISTANCE_FIELD_SIZE_PX = 128
-"""Side of the distance fields [px]."""
-R2_SEQUENCE_STEP = np.array([0.7548776662466927, 0.5698402909980532])
-"""Multiples of these fill the unit square evenly, modulo 1."""
-N_COVERAGE_TARGETS = 28
-"""Observed boundary points per frame in the coverage term."""
-
-
 @dataclass(frozen=True)
 class Observation:
     """The observed masks of N frames in square crops of 256 pixels.
@@ -125,7 +123,7 @@ class Observation:
         targets: (N, 28, 5) points on the visible contour: position, outward normal, and the length of contour each
             stands for [px].
         area: (N,) pixels of the object's mask in the crop.
-        has_gaps: whether the masks leave gaps between the object and what hides it, whose pixels do not count.
+        has_gaps: whether the masks leave gaps between the object and its occluders, whose pixels do not count.
     """
 
     crops: Crops
@@ -139,16 +137,10 @@ class Observation:
 
     def take(self, index: Int[ndarray, "n"]) -> Observation:
         """Return the observation at some of its frames."""
-        return Observation(
-            crops=Crops(self.crops.corner[index], self.crops.side, self.crops.size),
-            K=self.K[index],
-            observed={level: bits[index] for level, bits in self.observed.items()},
-            valid={level: bits[index] for level, bits in self.valid.items()},
-            field=self.field[index],
-            targets=self.targets[index],
-            area=self.area[index],
-            has_gaps=self.has_gaps,
-        )
+        crops = Crops(self.crops.corner[index], self.crops.side, self.crops.size)
+        observed, valid = ({k: bits[index] for k, bits in masks.items()} for masks in (self.observed, self.valid))
+        rest = self.field[index], self.targets[index], self.area[index], self.has_gaps
+        return Observation(crops, self.K[index], observed, valid, *rest)
 
 
 def observe_masks(
@@ -156,8 +148,8 @@ def observe_masks(
 ) -> Observation:
     """Crop the masks of a clip and prepare them for fitting. Every object mask must have a pixel.
 
-    ``use_ignore=False`` counts hidden pixels as background (the paper's ablation of C_o). Those in gaps between
-    the masks do not count either, where these are more than ``gap_share`` of the masks' border (``mask_gaps.in_gaps``).
+    ``use_ignore=False`` counts hidden pixels as background (the paper's ablation of C_o). Pixels in gaps between the
+    masks do not count either, where gaps are more than ``gap_share`` of the masks' border (``find_gap_pixels``).
     """
     crops = _dither_crops(crops_around(masks.object, size=MASK_CROP_SIZE_PX))
     levels = {
@@ -186,7 +178,7 @@ def observe_masks(
 
 
 def _dither_crops(crops: Crops) -> Crops:
-    """Shift each crop by another part of a pixel of the image, which depends on its place.
+    """Shift each crop by a fraction of an image pixel that depends on the crop's place.
 
     A mask's contour runs along its pixels' borders, up to half a pixel from the object's. Crops centred on whole pixels
     would sample the left and right of it alike in every frame, and err in the object's size alike in every frame.
@@ -197,10 +189,10 @@ def _dither_crops(crops: Crops) -> Crops:
 def _sample_masks(
     masks: Masks, crops: Crops, use_ignore: bool
 ) -> tuple[Bool[ndarray, "N s s"], Bool[ndarray, "N s s"]]:
-    """Sample the object's pixels, and those that count.
+    """Sample the object's pixels, and the pixels that count.
 
-    Each level is sampled from the masks themselves, where silhouettes are: at the centres of its pixels. Majorities of
-    a finer level's pixels would have ties, and objects half a pixel too large or too small are as much too near or far.
+    Each level is sampled from the masks themselves at the centres of its pixels, as silhouettes are. Majorities of a
+    finer level's pixels would have ties, and an object half a pixel too large or small is as much too near or far.
     """
     observed = crops.resample(masks.object, outside=False)
     hidden = masks.ignore if use_ignore else np.broadcast_to(False, masks.object.shape)
@@ -208,7 +200,7 @@ def _sample_masks(
 
 
 def _downsample_any(pixels: Bool[ndarray, "N s s"], size: int) -> Bool[ndarray, "N n n"]:
-    """Pixels of a coarser level that any of the given ones is in."""
+    """Mark a coarser level's pixels that contain any of the pixels."""
     while pixels.shape[1] > size:
         pixels = pixels[:, ::2] | pixels[:, 1::2]
         pixels = pixels[:, :, ::2] | pixels[:, :, 1::2]
@@ -264,10 +256,6 @@ def _fill_boundary_targets(pixels, field, zoom, targets):
         d = field[i, j]  # from the pixel's centre to the contour itself
         targets[q, 0], targets[q, 1] = (j + 0.5) * zoom - d * gx, (i + 0.5) * zoom - d * gy
         targets[q, 2], targets[q, 3] = gx, gy
-
-
-MAX_CONTOUR_POINTS = 1500
-"""Contour points kept per image; far more than any 256-pixel contour gives at the steps in use."""
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ from getagrip.geometry.warp import Warp
 N_SHAPE_PARAMETERS = 27
 """Numbers of a shape: the displacement along each axis by each of 9 monomials (``Warp.by``)."""
 N_UNWARP_STEPS = 4
-"""Steps of the search for the place on the mesh that has come to lie at a point of the contour."""
+"""Steps of the search for the point of the mesh that a warp displaces to a point of the contour."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class MaskByShape:
     mesh: Mesh
     """The mesh that is warped."""
     centre: Float[ndarray, "3"]
-    """The point of it that poses place, and about which it is warped."""
+    """The mesh's point that poses place, and about which the mesh is warped."""
     radius: float
     observation: Observation
     level: int
@@ -65,11 +65,8 @@ class MaskByShape:
         """Value, gradient and Hessian by each frame's local 7-vector, then by the shape's 27 numbers."""
         B, N = poses.centre.shape[:2]
         o = self.observation
-        value, g, H = (
-            np.zeros((B, N)),
-            np.zeros((B, N, 7 + N_SHAPE_PARAMETERS)),
-            np.zeros((B, N, 7 + N_SHAPE_PARAMETERS, 7 + N_SHAPE_PARAMETERS)),
-        )
+        P = 7 + N_SHAPE_PARAMETERS
+        value, g, H = np.zeros((B, N)), np.zeros((B, N, P)), np.zeros((B, N, P, P))
         for b in range(B):
             warped = SilhouetteMesh.of(Warp.by(self.centre, self.radius, shape[b])(self.mesh), self.centre)
             _evaluate_mask_by_shape(

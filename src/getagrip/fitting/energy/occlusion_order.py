@@ -22,16 +22,15 @@ from getagrip.geometry.mesh import Mesh, decimate
 from getagrip.geometry.rasterize import depth_and_face
 
 MAX_RAYCAST_FACES = 400
-"""Most faces of the mesh that rays are cast at."""
+"""Maximum number of faces of the mesh that rays are cast at."""
 N_ORDER_POINTS = 80
 """Points of the hand."""
 HAND_SURFACE_TOLERANCE_M = 0.006
-"""A point no farther behind the hand's nearest surface is on it [m]."""
+"""Distance behind the hand's nearest surface up to which a point counts as visible [m]."""
 MASK_BORDER_MARGIN_M = 0.006
-"""Points so near to the border of a mask say nothing, since the hand is not known exactly [m]."""
-
+"""Distance to a mask's border below which a point's side is unknown, since the hand is not exact [m]."""
 MIN_GRAZING_COSINE = 0.1
-"""Least cosine between a ray and the surface's normal, in the derivatives."""
+"""Minimum cosine between a ray and the surface's normal, in the derivatives."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ class HandOrder:
 def _disc_in_mask(
     mask: Bool[ndarray, "H W"], u: Int[ndarray, "Q"], v: Int[ndarray, "Q"], disc: Bool[ndarray, "k k"]
 ) -> Bool[ndarray, "Q"]:
-    """Return where a disc about a pixel is in the mask, but for what is beyond the image: the mask eroded, there only.
+    """Erode a mask at some pixels: mark those whose disc, cut at the image's border, lies in the mask.
 
     Eroding all of a large image takes a hundred times as long.
     """
@@ -184,7 +183,7 @@ def _add_order_residual(sign, ray, t, face, R, centre, unit, delta, error, g, H)
 
 @kernel()
 def _order_error(sign, point, R, centre, scale, corners, reach, origin, local, ray):
-    """Return how far a point is on the wrong side of the surface [m], how far that is, and its face, -1: none.
+    """Return how far a point is on the wrong side of the surface [m], the surface's distance, and its face, -1: none.
 
     Fills in the ray to the point.
     """

@@ -1,6 +1,7 @@
-"""E_push as the paper has it (appendix): object vertices behind the tangent planes of the hand's contact vertices.
+"""E_push and E_pull as the paper states them (appendix), for the method ``paper``.
 
-E_pull as the paper has it (appendix): heights of fingertips over tangent planes of the object.
+Push: object vertices behind the tangent planes of the hand's contact vertices. Pull: heights of fingertips over tangent
+planes of the object.
 """
 
 from __future__ import annotations
@@ -166,7 +167,7 @@ def _evaluate_paper_pull(R, centre, scale, vertices, normals, hand, region, weig
                 for k in range(3):
                     height -= scale[b] * normals[k, at] * vertices[k, at]
                 value[b, n] += unit * abs(height)
-                # The height changes by -n . v - (r x n) . w + (height - r . n) l, as in ``contact.add_height``.
+                # The height changes by -n . v - (r x n) . w + (height - r . n) l, as in ``add_height_residual``.
                 a[0], a[1], a[2] = -n0, -n1, -n2
                 a[3], a[4], a[5] = r2 * n1 - r1 * n2, r0 * n2 - r2 * n0, r1 * n0 - r0 * n1
                 a[6] = height - over
@@ -176,5 +177,4 @@ def _evaluate_paper_pull(R, centre, scale, vertices, normals, hand, region, weig
 
 @kernel()
 def _lever_arm(point, centre):
-    """From the centre to the point."""
     return point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]

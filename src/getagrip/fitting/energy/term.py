@@ -1,12 +1,10 @@
-"""The interface of a term of the energy.
+"""Terms of the energy: the bodies that they see, and the value and derivatives that they answer by.
 
-A term is called with ``PosesInCamera`` of B hypotheses in N frames, and returns its value, gradient and Hessian per
-frame, in the frame's local 7-vector (``se3``). The solver only sums and solves.
+A term is called with the bodies' poses in the camera, of B hypotheses in N frames, and returns its value, gradient and
+Gauss-Newton Hessian per frame, by the frame's local vector (``se3``). The solver only sums and solves.
 
-Terms on the hand, and the effect of terms on the object on a hand that is unknown as well.
-
-Unknown are the object in the hand, ``T_hand_obj``, and the hand in the camera, ``T_cam_hand``. A term sees both in the
-camera (``ObjectWithHand``) and answers by the local vector of each frame, or by a part of it:
+Unknown are the object in the hand, ``T_hand_obj``, and, for an estimated hand, the hand in the camera, ``T_cam_hand``.
+With a moving hand (``ObjectWithHand``) a frame's local vector has 21 numbers, and each term answers by a part of it:
 
     0:7       the object in the camera: v_o, w_o, l_o (``se3``)
     7:14      the hand in the camera: v_h its middle shifts [m], w_h it turns about its middle [rad], l_h logarithm of
@@ -16,8 +14,8 @@ camera (``ObjectWithHand``) and answers by the local vector of each frame, or by
 Four kinds of terms follow.
 
 - **On the object in the camera** (masks, smoothness, depth of the object): an ordinary ``Term``, of 7 numbers. It knows
-  nothing of the hand. It moves the hand all the same, since ``T_cam_obj = T_cam_hand @ T_hand_obj``: an object held
-  still in the hand goes with it, by ``w_o = w_h`` and ``v_o = v_h + w_h x (c_o - c_h)``. That is the chain rule of the
+  nothing of the hand. It moves the hand all the same, since ``T_cam_obj = T_cam_hand @ T_hand_obj``: an object that
+  rests in the hand goes with it, by ``w_o = w_h`` and ``v_o = v_h + w_h x (c_o - c_h)``. That is the chain rule of the
   *parameters*, and the motion's (``motion.MovingHand``), not the term's: a term's derivatives take object and hand as
   free of each other.
 - **On the hand in the camera** (2D joints, hand masks, depth of the hand): a ``HandTerm``, of 7 numbers, wrapped in
@@ -30,8 +28,6 @@ Four kinds of terms follow.
 
 Terms that tie frames to each other have a ``Quadratic.cross``, on the hand as on the object. Where the hand is fixed
 (poses without one) ``InHand`` is the term within, and ``OnHand`` is a constant, taken as zero.
-
-The terms of a modality, on the object and on the hand.
 """
 
 from __future__ import annotations
@@ -59,86 +55,6 @@ class PosesInCamera:
     def size(self) -> int:
         """Length P of a frame's local vector."""
         return 7
-
-
-@dataclass(frozen=True)
-class Quadratic:
-    """A term's value [px^2 of the 256-pixel crop] and its derivatives by each frame's local vector.
-
-    That is the object's 7-vector; where the hand moves as well it may be longer (``hand_term``).
-    """
-
-    value: Float[ndarray, "B N"]
-    g: Float[ndarray, "B N P"]
-    H: Float[ndarray, "B N P P"]
-    cross: Float[ndarray, "B N P N P"] | None = None
-    """The cross-frame Hessian, of terms that tie frames to each other; ``[:, n, :, n]`` is zero, see ``H``."""
-
-    @staticmethod
-    def zero(poses: PosesInCamera, size: int = 7) -> Quadratic:
-        """Return zeros, for a term to fill in."""
-        B, N = poses.centre.shape[:2]
-        return Quadratic(np.zeros((B, N)), np.zeros((B, N, size)), np.zeros((B, N, size, size)))
-
-    @staticmethod
-    def of_squares(error: Float[ndarray, "B N m"], J: Float[ndarray, "B N m P"], weight: float) -> Quadratic:
-        """Return ``weight * |error|^2``, for errors with the Jacobian J by the local vector (Gauss-Newton)."""
-        Jt = np.swapaxes(J, -1, -2)
-        value = weight * np.sum(error**2, axis=-1)
-        return Quadratic(value, 2.0 * weight * (Jt @ error[..., None])[..., 0], 2.0 * weight * (Jt @ J))
-
-    def __add__(self, other: Quadratic) -> Quadratic:
-        cross = [a for a in (self.cross, other.cross) if a is not None]
-        total = cross[0] + cross[1] if len(cross) == 2 else cross[0] if cross else None
-        return Quadratic(self.value + other.value, self.g + other.g, self.H + other.H, total)
-
-    def within(self, size: int, first: int = 0) -> Quadratic:
-        """Embed it in a longer vector, of which this one's vector is the part from ``first`` on."""
-        B, N, P = self.g.shape
-        if size == P:
-            return self
-        part, cross = slice(first, first + P), None
-        g, H = np.zeros((B, N, size)), np.zeros((B, N, size, size))
-        g[..., part], H[..., part, part] = self.g, self.H
-        if self.cross is not None:
-            cross = np.zeros((B, N, size, N, size))
-            cross[:, :, part, :, part] = self.cross
-        return Quadratic(self.value, g, H, cross)
-
-    def take(self, index: ndarray) -> Quadratic:
-        """Return some of the hypotheses."""
-        cross = None if self.cross is None else self.cross[index]
-        return Quadratic(self.value[index], self.g[index], self.H[index], cross)
-
-    def put(self, index: ndarray, other: Quadratic) -> None:
-        """Overwrite some of the hypotheses, in place."""
-        self.value[index], self.g[index], self.H[index] = other.value, other.g, other.H
-        if self.cross is not None and other.cross is not None:
-            self.cross[index] = other.cross
-
-
-class Term(Protocol):
-    """One term of the energy."""
-
-    @property
-    def name(self) -> str: ...
-
-    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
-        """Evaluate at the poses.
-
-        Where the sum of values over frames exceeds ``bound``, the derivatives, and the values of further frames, may be
-        left zero: the solver will reject that step. Where ``bound`` is below zero it will reject it in any case.
-        """
-        ...
-
-
-Energy = Callable[[int, Int[ndarray, "n"]], Sequence[Term]]
-"""A sum of terms, at a resolution (64, 128 or 256 px) and at some of a clip's frames (their indices)."""
-
-
-def no_bound(poses: PosesInCamera) -> Float[ndarray, "B"]:
-    """Return a bound that asks for the derivatives everywhere."""
-    return np.full(len(poses.scale), np.inf)
 
 
 @dataclass(frozen=True)
@@ -172,6 +88,83 @@ class ObjectWithHand(PosesInCamera):
         return 21
 
 
+@dataclass(frozen=True)
+class Quadratic:
+    """A term's value [px^2 of the 256-pixel crop] and its derivatives by each frame's local vector, of P numbers."""
+
+    value: Float[ndarray, "B N"]
+    g: Float[ndarray, "B N P"]
+    H: Float[ndarray, "B N P P"]
+    cross: Float[ndarray, "B N P N P"] | None = None
+    """Hessian between frames, of terms that tie frames to each other; ``[:, n, :, n]`` is zero, see ``H``."""
+
+    @staticmethod
+    def zero(poses: PosesInCamera, size: int = 7) -> Quadratic:
+        """Return zeros, for a term to fill in."""
+        B, N = poses.centre.shape[:2]
+        return Quadratic(np.zeros((B, N)), np.zeros((B, N, size)), np.zeros((B, N, size, size)))
+
+    @staticmethod
+    def of_squares(error: Float[ndarray, "B N m"], J: Float[ndarray, "B N m P"], weight: float) -> Quadratic:
+        """Return ``weight * |error|^2``, for errors with the Jacobian J by the local vector (Gauss-Newton)."""
+        Jt = np.swapaxes(J, -1, -2)
+        value = weight * np.sum(error**2, axis=-1)
+        return Quadratic(value, 2.0 * weight * (Jt @ error[..., None])[..., 0], 2.0 * weight * (Jt @ J))
+
+    def __add__(self, other: Quadratic) -> Quadratic:
+        cross = [a for a in (self.cross, other.cross) if a is not None]
+        total = cross[0] + cross[1] if len(cross) == 2 else cross[0] if cross else None
+        return Quadratic(self.value + other.value, self.g + other.g, self.H + other.H, total)
+
+    def within(self, size: int, first: int = 0) -> Quadratic:
+        """Embed the quadratic in a vector of ``size`` numbers, its own from ``first`` on."""
+        B, N, P = self.g.shape
+        if size == P:
+            return self
+        part, cross = slice(first, first + P), None
+        g, H = np.zeros((B, N, size)), np.zeros((B, N, size, size))
+        g[..., part], H[..., part, part] = self.g, self.H
+        if self.cross is not None:
+            cross = np.zeros((B, N, size, N, size))
+            cross[:, :, part, :, part] = self.cross
+        return Quadratic(self.value, g, H, cross)
+
+    def take(self, index: ndarray) -> Quadratic:
+        """Return some of the hypotheses."""
+        cross = None if self.cross is None else self.cross[index]
+        return Quadratic(self.value[index], self.g[index], self.H[index], cross)
+
+    def put(self, index: ndarray, other: Quadratic) -> None:
+        """Overwrite some of the hypotheses, in place."""
+        self.value[index], self.g[index], self.H[index] = other.value, other.g, other.H
+        if self.cross is not None and other.cross is not None:
+            self.cross[index] = other.cross
+
+
+class Term(Protocol):
+    """One term of the energy."""
+
+    @property
+    def name(self) -> str: ...
+
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        """Evaluate at the poses.
+
+        Where the values' sum over frames exceeds ``bound``, the derivatives and the values of further frames may be
+        left zero: the solver will reject that step. Where ``bound`` is below zero it rejects the step in any case.
+        """
+        ...
+
+
+Energy = Callable[[int, Int[ndarray, "n"]], Sequence[Term]]
+"""A sum of terms, at a resolution (64, 128 or 256 px) and at some of a clip's frames (their indices)."""
+
+
+def no_bound(poses: PosesInCamera) -> Float[ndarray, "B"]:
+    """Return a bound that asks for the derivatives everywhere."""
+    return np.full(len(poses.scale), np.inf)
+
+
 class HandTerm(Protocol):
     """One term of the energy, on the hand alone."""
 
@@ -181,6 +174,10 @@ class HandTerm(Protocol):
     def __call__(self, poses: HandInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         """Evaluate by the hand's local vector of 7 numbers; ``bound`` as in ``Term``."""
         ...
+
+
+HandEnergy = Callable[[int, Int[ndarray, "n"]], Sequence[HandTerm]]
+"""A sum of terms on the hand, at a resolution and at some of a clip's frames, as ``Energy`` on the object."""
 
 
 @dataclass(frozen=True)
@@ -215,17 +212,13 @@ class InHand:
         return self.term(poses.in_hand, bound).within(poses.size, first=14)
 
 
-HandEnergy = Callable[[int, Int[ndarray, "n"]], Sequence[HandTerm]]
-"""A sum of terms on the hand, at a resolution and at some of a clip's frames, as ``Energy`` on the object."""
-
-
 @dataclass(frozen=True)
 class Terms:
-    """Terms at a problem's frames, made when they are asked for.
+    """Terms of a modality at a problem's frames, made when an energy is evaluated.
 
     Attributes:
-        object: on the object, or on object and hand; None: none.
-        hand: on the hand alone, which count where it is unknown as well; None: none.
+        object: terms on the object, or on object and hand; None: none.
+        hand: terms on the hand alone, which count where the hand is unknown as well; None: none.
     """
 
     object: Energy | None = None

@@ -1,4 +1,4 @@
-"""Depth images: ``depth``."""
+"""Depth images (``depth``): distances of the visible surfaces of object and hand, their checks and their term."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ if TYPE_CHECKING:  # files of clips are asked for by commands that fit nothing
     from getagrip.fitting.problem import Problem
 
 DEPTH_WEIGHT = 0.004
-"""Energy per squared deviation of an independent sample [area of the masks]: what a nat of the masks weighs for objects
-of the hand's size, and less for smaller ones, whose contact with the hand counts less as well."""
+"""Energy per squared deviation of an independent sample [area of the masks]: a nat of the masks for objects of the
+hand's size, and less for smaller ones, whose contact with the hand counts less as well."""
 MAX_DEPTH_MESH_FACES = {64: 200, 128: 500, 256: 500}
-"""Most faces of the object at each resolution."""
+"""Maximum number of faces of the object at each resolution."""
 MAX_DEPTH_SAMPLES = {64: 40, 128: 60, 256: 100}
-"""Samples of a body in a frame, at each resolution."""
+"""Maximum number of samples of a body in a frame, at each resolution."""
 MAX_DEPTH_MISFIT = 1.6
-"""Usual deviation of depth from the surfaces that were found, its warp apart, at most [in what it may err by]; 0.4 to 1
-on training clips, 1 to 3.6 for depth of another clip."""
+"""Maximum deviation of depth from the solved surfaces, without its warp [standard deviations]; 0.4 to 1 on training
+clips, 1 to 3.6 for depth of another clip."""
 MAX_DEPTH_WARP = 0.03
-"""Usual warp over object and hand, at most [share of the distance]: at most 0.021 on training clips, 0.05 to 0.16 where
-depth is warped by 30 %, but for one of 36."""
+"""Maximum warp over object and hand [fraction of the distance]: 0.021 on training clips, 0.05 to 0.16 where depth is
+warped by 30 %, but for one of 36."""
 
 
 def hand_depth_ratio(it: Evidence) -> float:
-    """Measure how many times as far away metric depth shows the hand as it is given."""
+    """Measure the ratio of the hand's distance in metric depth to its input distance."""
     depth = DepthImages().of(it.clip)
     if depth is None or depth.source.scale != "metric":
         return np.nan
@@ -57,31 +57,21 @@ def hand_depth_ratio(it: Evidence) -> float:
 
 
 def has_depth_unit_mismatch(depth: Depth, samples: DepthSamples) -> bool:
-    """Return whether metric depth shows the hand so far away, or so near, that it is not used."""
+    """Return whether metric depth shows the hand at a distance beyond ``MAX_DEPTH_RATIO``, and is not used."""
     from getagrip.fitting.energy.depth_term import median_hand_depth_ratio
 
-    return depth.source.scale == "metric" and bool(
-        abs(np.log(median_hand_depth_ratio(samples))) > np.log(MAX_DEPTH_RATIO)
-    )  # not of NaN
+    off = abs(np.log(median_hand_depth_ratio(samples)))
+    return depth.source.scale == "metric" and bool(off > np.log(MAX_DEPTH_RATIO))  # not of NaN
 
 
 def measure_background_ratio(it: Evidence) -> float:
-    """Measure how many times as far away as the object what is around it is in depth images."""
+    """Measure the ratio of the surroundings' distance to the object's in depth images."""
     depth = DepthImages().of(it.clip)
     return np.nan if depth is None else median_surroundings_depth_ratio(depth, it.masks, it.clip.size)
 
 
-def missing_depth_fraction(it: Evidence) -> float:
-    """Measure the share of the visible surface of object and hand that has no depth."""
-    return _depth_fractions(it)[0]
-
-
-def outlier_depth_fraction(it: Evidence) -> float:
-    """Measure the share of the surface's depth that is far behind or before the rest."""
-    return _depth_fractions(it)[1]
-
-
-def _depth_fractions(it: Evidence) -> tuple[float, float]:
+def depth_fractions(it: Evidence) -> tuple[float, float]:
+    """Measure the fraction of the visible surface without depth, and of its depth far behind or before the rest."""
     depth = DepthImages().of(it.clip)
     if depth is None:
         return np.nan, np.nan
@@ -90,20 +80,11 @@ def _depth_fractions(it: Evidence) -> tuple[float, float]:
     return missing_and_outlier_fractions(it.clip, it.masks, depth)
 
 
-def depth_misfit(it: Evidence) -> float:
-    """Measure how far depth is off the surfaces that were found, its own scale and warp apart, in what it may err by.
+def depth_misfit(it: Evidence) -> tuple[float, float]:
+    """Measure depth's deviation from the solved surfaces [standard deviations], and its warp [fraction of distance].
 
-    NaN of depth that is not used.
+    The deviation is without depth's scale and warp. NaN of depth that is not used.
     """
-    return _depth_misfit_and_warp(it)[0]
-
-
-def depth_warp(it: Evidence) -> float:
-    """Measure how far depth is found to be warped over object and hand [share of the distance]; NaN as ``depth_misfit``."""
-    return _depth_misfit_and_warp(it)[1]
-
-
-def _depth_misfit_and_warp(it: Evidence) -> tuple[float, float]:
     depth = DepthImages().of(it.clip)
     if depth is None or it.T_hand_obj is None:
         return np.nan, np.nan
@@ -122,43 +103,36 @@ class DepthImages(Modality[Depth]):
     input_checks = (
         Check(
             "depth-unit", hand_depth_ratio, low=1.0 / MAX_DEPTH_RATIO, high=MAX_DEPTH_RATIO,
-            fault="depth images show the hand {value} times as far away as it is given, and were not used",
+            fault="depth images show the hand at {value} times its input distance, and were not used",
             advice="check the depth's unit and scale, and the hand's distance",
         ),
         Check(
             "depth-inverse", measure_background_ratio, low=MIN_SURROUNDINGS_DEPTH_RATIO,
-            fault="depth images show what is around the object {value} times as far away, and were not used",
+            fault="depth images show the object's surroundings at {value} times its distance, and were not used",
             advice="are these disparities (inverse depth)? Import depth",
         ),
         Check(
-            "depth-missing", missing_depth_fraction, high=0.9, serious=False, shown=format_percent,
+            "depth-missing", lambda it: depth_fractions(it)[0], high=0.9, serious=False, shown=format_percent,
             fault="{value} of the visible surface of object and hand have no depth", advice="is it of this clip?",
         ),
         Check(
-            "depth-elsewhere", outlier_depth_fraction, high=0.25, serious=False, shown=format_percent,
+            "depth-elsewhere", lambda it: depth_fractions(it)[1], high=0.25, serious=False, shown=format_percent,
             fault="{value} of the depth on object and hand is far behind or before the rest",
             advice="is it of this clip, aligned to its images and of the same field of view?",
         ),
     )  # fmt: skip
     result_checks = (
         Check(
-            "depth-misfit",
-            depth_misfit,
-            high=MAX_DEPTH_MISFIT,
-            serious=False,
-            fault="depth is off the surfaces that were found by {value} times what it may err by, and counted little",
-            advice="is it of this clip? A wrong hand or mesh is off likewise",
+            "depth-misfit", lambda it: depth_misfit(it)[0], high=MAX_DEPTH_MISFIT, serious=False,
+            fault="depth deviates from the solved surfaces by {value} standard deviations, and counted little",
+            advice="is it of this clip? A wrong hand or mesh has the same effect",
         ),
         Check(
-            "depth-warped",
-            depth_warp,
-            high=MAX_DEPTH_WARP,
-            serious=False,
-            shown=format_percent,
+            "depth-warped", lambda it: depth_misfit(it)[1], high=MAX_DEPTH_WARP, serious=False, shown=format_percent,
             fault="depth is warped by {value} over hand and object",
-            advice="of a network's it was left out; is it of this clip, and of a network that knows such scenes?",
+            advice="a network's warp was left out; is the depth of this clip, and does the network know such scenes?",
         ),
-    )
+    )  # fmt: skip
 
     def files(self, folder: Path, frames: Sequence[str]) -> list[str]:
         return [name for frame in frames if (name := depth_file(folder, frame)) is not None]

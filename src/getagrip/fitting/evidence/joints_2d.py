@@ -1,4 +1,4 @@
-"""2D joints of the hand that holds the object: ``joints_2d`` of ``hand.npz``."""
+"""2D joints of the hand (``joints_2d`` of ``hand.npz``): their checks and their term."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Joints2D(ArrayData):
 
     Attributes:
         points: (T, 21, 2) in the images [px].
-        confidence: (T, 21) from 0 (not seen) to 1.
+        confidence: (T, 21) from 0 (invisible) to 1.
     """
 
     points: Float[ndarray, "T 21 2"]
@@ -38,17 +38,17 @@ class Joints2D(ArrayData):
         return len(self.points)
 
     def take(self, index: Int[ndarray, "n"]) -> Joints2D:
-        """Return the joints in some of the frames, in the given order."""
+        """Return the joints in some of the frames, in this order."""
         return Joints2D(self.points[index], self.confidence[index])
 
 
 def joints_2d_excluded(it: Evidence) -> float:
-    """Return 1 where the hand was refined without its 2D joints, for another reason than their place, else 0."""
+    """Return 1 where the hand was refined without its 2D joints though they lie on the masks, else 0."""
     return float(it.joints_left_out and not outside_mask_fraction(it.clip, it.masks) > MAX_OUTSIDE_MASK_FRACTION)
 
 
 def joints_2d_exclusion_reason(it: Evidence) -> str:
-    """Say why 2D joints did not count."""
+    """Explain why 2D joints were left out."""
     confidence = it.clip.hand.joints_2d_confidence
     why = "contradict its pixels or its skeleton"
     if it.clip.hand.joints is None:
@@ -59,20 +59,21 @@ def joints_2d_exclusion_reason(it: Evidence) -> str:
 
 
 class HandJoints2D(Modality[Joints2D]):
-    """Places of the hand's joints in the images. They are the hand's (``HandTrack.joints_2d``), and stay with it."""
+    """Places of the hand's joints in the images, which belong to the hand (``HandTrack.joints_2d``)."""
 
     name = "joints-2d"
     input_checks = (
         Check(
-            "joints-elsewhere", lambda it: outside_mask_fraction(it.clip, it.masks), high=MAX_OUTSIDE_MASK_FRACTION, serious=False,
-            shown=format_percent, fault="{value} of the hand's 2D joints are neither on the hand nor on the object",
+            "joints-elsewhere", lambda it: outside_mask_fraction(it.clip, it.masks), high=MAX_OUTSIDE_MASK_FRACTION,
+            serious=False, shown=format_percent,
+            fault="{value} of the hand's 2D joints are neither on the hand nor on the object",
             advice="they were left out; check that they are of this hand, and of images of this size",
         ),
     )  # fmt: skip
     result_checks = (
         Check(
             "joints-left-out", joints_2d_excluded, high=0.0, serious=False, fault=joints_2d_exclusion_reason,
-            advice="give this hand's, in pixels of these images and in the order of hand.npz",
+            advice="import 2D joints of this hand, in pixels of these images and in the order of hand.npz",
         ),
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Masks: of the object and of what hides it (``masks/object``, ``masks/ignore``), and of the hand (``masks/hand``)."""
+"""Masks of the object and of its occluders (``masks/object``, ``masks/ignore``), and of the hand (``masks/hand``)."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ class ObjectMasks(Modality[Masks]):
         masks = self.of(clip)
         if masks is None:
             return
-        known, kinds = masks.known, {"object": masks.object}
-        for kind, pixels in (kinds | {"ignore": masks.ignore} if masks.say_what_hides else kinds).items():
-            write_masks(pixels, known, clip.frames, folder / "masks" / kind)
+        write_masks(masks.object, masks.known, clip.frames, folder / "masks" / "object")
+        if masks.say_what_hides:
+            write_masks(masks.ignore, masks.known, clip.frames, folder / "masks" / "ignore")
 
     def terms(self, problem: Problem) -> Terms:
         from getagrip.fitting.objective import mask_energy

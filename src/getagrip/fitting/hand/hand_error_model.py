@@ -1,22 +1,22 @@
-"""How a given hand may be wrong in each frame, in numbers that move it, and where they move its contour.
+"""Errors of an input hand, and their fit to evidence under a prior on trackers' errors.
 
-    corrected T_cam_hand = given T_cam_hand . turn_and_shift(w, s)
+The errors x of a frame (``HandErrors``) change the hand:
 
-w turns the hand about its middle, s shifts it, both in the hand's frame. Its size and the bends of its 15 finger joints
-are off as well. Those only explain the silhouette: without them, wrong fingers would turn the palm, and a hand that is
-too large would come nearer. (One silhouette says nothing about depth unless the hand's size is known.) Where its joints
-were seen, whole fingers are off sideways, too; a silhouette alone hardly tells that from a turn of the palm.
+    refined T_cam_hand = input T_cam_hand . turn_and_shift(w, s)
 
-Fit a hand's errors to evidence, under a prior on trackers' errors.
+w turns the hand about its middle, s shifts it, both in the hand frame. Errors of its size and of the bends of its 15
+finger joints only explain the silhouette: without them, wrong fingers would turn the palm, and a hand that is too large
+would come nearer. (One silhouette says nothing about depth unless the hand's size is known.) With 2D joints whole
+fingers may be off sideways, too; a silhouette alone hardly tells that from a turn of the palm.
 
-Minimised is, over the errors x_n = b + e_n of each frame (``HandErrors``), b the same in all frames,
+The fit (``HandFit``) minimises, over the errors x_n = b + e_n of each frame, b the same in all frames,
 
     unit * sum_n E_n(x_n) + 1/2 |b / bias|^2 + 1/2 sum_n |e_n / jitter|^2
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,27 +28,27 @@ from getagrip.geometry import se3
 from getagrip.hands.generic import FINGER_CHAINS, bend_fingers, finger_hinge_axes, finger_spread_axes, finger_weights
 from getagrip.least_squares import BlockArrow
 
-ROTATION_ERRORS, TRANSLATION_ERRORS, SIZE_ERROR, FLEXION_ERRORS, ABDUCTION_ERRORS = (
-    slice(0, 3),
-    slice(3, 6),
-    6,
-    slice(7, 22),
-    slice(22, 27),
-)
+ROTATION_ERRORS, TRANSLATION_ERRORS, SIZE_ERROR = slice(0, 3), slice(3, 6), 6
+FLEXION_ERRORS, ABDUCTION_ERRORS = slice(7, 22), slice(22, 27)
 """Position of each error among the numbers of a frame: [rad], [m], logarithm, [rad], [rad]."""
+ERROR_GROUP_SIZES = (3, 3, 1, 20)
+"""Number of turns, shifts, sizes, and finger errors."""
 N_RIGID_ERRORS = 7
 """Number of errors without the fingers."""
+OnErrors = Callable[[Float[ndarray, "N P"]], tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]]
+"""From the errors of each frame to the evidence's value, gradient and Gauss-Newton Hessian."""
 
 
 @dataclass(frozen=True)
 class HandErrors:
-    """The input hand in N frames, and how errors x (N, P) change it.
+    """The input hand in N frames, and its change by errors x (N, P).
 
     Attributes:
-        tracked: the hand as it was given.
+        tracked: the input hand.
         middle: (3,) the point that it turns about, in the hand frame [m].
-        weights: (V, 5, 3) how far vertices go with each bone; None: the fingers keep their bends, and P is ``N_RIGID_ERRORS``.
-        sideways: whether they may turn sideways, too; P is 27, else 22.
+        weights: (V, 5, 3) weights of the bones on the vertices; None: the fingers stay as in the input, P is
+            ``N_RIGID_ERRORS``.
+        sideways: whether fingers may turn sideways as well; P is 27, else 22.
     """
 
     tracked: HandTrack
@@ -58,21 +58,21 @@ class HandErrors:
 
     @staticmethod
     def of(hand: HandTrack) -> HandErrors:
-        """Return the rigid errors of a hand."""
+        """Make the rigid errors of a hand."""
         return HandErrors(hand, hand.vertices.mean(axis=(0, 1)), None)
 
     def with_fingers(self, sideways: bool = False) -> HandErrors:
-        """Return all the errors that the hand can have; one without joints has rigid ones only."""
+        """Return the errors with the fingers' among them; only the rigid ones for a hand without joints."""
         if self.tracked.joints is None:
             return self
         return replace(self, weights=finger_weights(self.tracked), sideways=sideways)
 
     @property
     def size(self) -> int:
-        """How many numbers each frame has."""
-        return (
-            N_RIGID_ERRORS if self.weights is None else ABDUCTION_ERRORS.stop if self.sideways else FLEXION_ERRORS.stop
-        )
+        """Number P of errors of a frame."""
+        if self.weights is None:
+            return N_RIGID_ERRORS
+        return ABDUCTION_ERRORS.stop if self.sideways else FLEXION_ERRORS.stop
 
     def take(self, index: Int[ndarray, "n"]) -> HandErrors:
         """Return the hand at some of its frames."""
@@ -84,15 +84,13 @@ class HandErrors:
         return self.tracked.T_cam_hand @ se3.rigid(R, self.middle + x[:, TRANSLATION_ERRORS] - R @ self.middle)
 
     def surface(self, x: Float[ndarray, "N P"]) -> tuple[Float[ndarray, "N V 3"], Float[ndarray, "N 21 3"] | None]:
-        """Return vertices and joints in the refined hand's frame, with the size and the bends that fit best."""
+        """Return vertices and joints in the refined hand's frame, with the size and the bends of the errors."""
         vertices, joints = self.tracked.vertices, self.tracked.joints
         if self.weights is not None and joints is not None:
             vertices, joints = bend_fingers(vertices, joints, self.weights, *_finger_errors(x))
         size = np.exp(x[:, SIZE_ERROR, None, None])
-        return (
-            self.middle + size * (vertices - self.middle),
-            None if joints is None else self.middle + size * (joints - self.middle),
-        )
+        vertices = self.middle + size * (vertices - self.middle)
+        return vertices, None if joints is None else self.middle + size * (joints - self.middle)
 
     def jacobian(
         self,
@@ -102,9 +100,9 @@ class HandErrors:
         nearest: Int[ndarray, "N M"],
         along: Float[ndarray, "N M 3"],
     ) -> Float[ndarray, "N M P"]:
-        """Differentiate the motion of points of the ``surface`` by the errors.
+        """Differentiate the motion of M points of the ``surface`` by the errors.
 
-        ``nearest`` is the vertex that each of M points goes with, ``along`` the direction that counts, in the camera
+        ``nearest`` is the vertex that each point moves with, ``along`` the direction of the derivative, in the camera
         frame.
         """
         turn = se3.exp_so3(x[:, ROTATION_ERRORS])
@@ -125,7 +123,7 @@ class HandErrors:
             offset = in_hand @ np.swapaxes(np.cross(axis[:, None], through), 1, 2)
             return np.asarray(moment @ axis[..., None] - offset)
 
-        # Hinges of a finger are parallel, so bends do not turn them; turning it sideways, which comes last, does.
+        # A finger's hinges are parallel, so bends do not turn them; the turn sideways, which comes last, does.
         aside = finger_spread_axes(self.tracked.joints)
         axes, sideways = finger_hinge_axes(self.tracked.joints), _finger_errors(x)[1]
         if sideways is not None:
@@ -142,26 +140,27 @@ class HandErrors:
 
 
 def _finger_errors(x: Float[ndarray, "N P"]) -> tuple[Float[ndarray, "N 5 3"], Float[ndarray, "N 5"] | None]:
-    """Return bends, and turns sideways where these are among the errors."""
+    """Return bends, and turns sideways if the errors have them."""
     return x[:, FLEXION_ERRORS].reshape(-1, 5, 3), x[:, ABDUCTION_ERRORS] if x.shape[1] > FLEXION_ERRORS.stop else None
-
-
-OnErrors = Callable[[Float[ndarray, "N P"]], tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]]
-"""From the errors of each frame to the evidence's value, gradient and Gauss-Newton Hessian."""
 
 
 @dataclass(frozen=True)
 class AssumedErrors:
-    """Standard deviations that are assumed of b and of e_n, and the weight of a unit of evidence."""
+    """Assumed standard deviations of b and of e_n, and the weight of a unit of evidence."""
 
     bias: Float[ndarray, "Q"]
     jitter: Float[ndarray, "Q"]
     unit: float = 1.0
 
+    @staticmethod
+    def of(bias: Sequence[float], jitter: Sequence[float], unit: float = 1.0) -> AssumedErrors:
+        """Make them of deviations of turns [rad], shifts [m], size (logarithm), bends and turns sideways [rad]."""
+        return AssumedErrors(np.repeat(bias, ERROR_GROUP_SIZES), np.repeat(jitter, ERROR_GROUP_SIZES), unit)
+
 
 @dataclass(frozen=True)
 class HandFit:
-    """Errors, and all that is known about them (``least_squares.State``, of one problem)."""
+    """Errors with the cost's value and derivatives at them (``least_squares.State``, of one problem)."""
 
     seen: OnErrors
     assumed: AssumedErrors

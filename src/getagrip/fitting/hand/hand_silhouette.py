@@ -1,4 +1,4 @@
-"""The hand's silhouette against its own pixels: which pixels those are, and in how many of them the two differ."""
+"""The hand's silhouette against the hand's mask: the mask's pixels, and the pixels in which the two differ."""
 
 from __future__ import annotations
 
@@ -22,18 +22,17 @@ from getagrip.io.images import PackedMasks
 HAND_CROP_SIZE_PX = 128
 """Side of the crops [px]; a hand is half as large. Resampled directly: a reduced mask is a little too large."""
 HAND_CROP_EXPANSION = 1.8
-"""Side of the crops in the largest side of a given hand's box."""
+"""Side of the crops, in the largest side of the input hand's box."""
 HAND_CONTOUR_STEP_PX = 4.0
 """Distance of contour points [px]."""
 HAND_CONTOUR_DELTA_PX = 1.0
 """Distances below this count as this in the curvature [px]."""
 MAX_HAND_CONTOUR_POINTS = 200
 MASK_GROWTH_RANGE_PX = 0.7, 4.0
-"""Masks are grown if they are too small all round by more than the first [px], and by no more than the second."""
+"""Margin by which masks are too small all round above which they are grown, and maximum growth [px]."""
 HAND_CROP_DILATION_PX = 16
-"""Ignored pixels farther than this from the input hand may be anything else [px]: a quarter of a hand."""
+"""Distance from the input hand beyond which ignored pixels need not be the hand's [px]: a quarter of a hand."""
 WRIST_JOINT, MIDDLE_KNUCKLE_JOINT = 0, 9
-"""Joints: wrist, and knuckle of the middle finger."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +42,11 @@ class HandMask:
     Attributes:
         K: (N, 4) fx, fy, cx, cy of the crops [px].
         observed: (N, n, words) the hand's pixels, as bits.
-        valid: (N, n, words) pixels that are known to be the hand's or not: not those of the object, which may hide the
-            hand, not other ignored pixels, and not those beyond its wrist, where an arm is. None in frames of which no
-            pixel is known to be the hand's: nobody may have labelled it.
-        field: (N, n, n) signed distance to the visible contour [px]; no pixels where it is not known (``with_field``).
-        grown: by how much the input masks were grown all round [px].
+        valid: (N, n, words) pixels that are known to be the hand's or not: without the object's, which may hide the
+            hand, without other ignored pixels, and without the arm's beyond the wrist. No pixels in frames without any
+            pixel of the hand, whose hand may not be labelled.
+        field: (N, n, n) signed distance to the visible contour [px]; empty before ``with_field``.
+        grown: growth of the input masks all round [px].
     """
 
     K: Float[ndarray, "N 4"]
@@ -58,10 +57,10 @@ class HandMask:
 
     @staticmethod
     def of(clip: Clip, masks: Masks) -> HandMask:
-        """Make the mask of a clip's hand, without field; without hand masks, of the ignored pixels near it."""
+        """Make the mask of a clip's hand, without field: from hand masks, else from the ignored pixels near it."""
         crops = hand_crops(clip)
         K = crops.intrinsics(clip.K)
-        # The border of the object's mask is the object's or the hand's: nobody knows to a pixel.
+        # Pixels at the border of the object's mask are the object's or the hand's.
         grown = (cv2.dilate(m.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool) for m in masks.object)
         objects = crops.resample(PackedMasks.of(grown, clip.size).as_array(), outside=True)
         hand = crops.resample(masks.ignore if masks.hand is None else masks.hand, outside=False) & ~objects
@@ -78,16 +77,16 @@ class HandMask:
 
     @property
     def with_field(self) -> HandMask:
-        """Mask with its field."""
+        """The mask with its field."""
         frames = zip(unpack(self.observed, HAND_CROP_SIZE_PX), unpack(self.valid, HAND_CROP_SIZE_PX), strict=True)
         return replace(self, field=np.stack([signed_distance(hand, valid) for hand, valid in frames]))
 
     def grown_to(self, silhouettes: UInt64[ndarray, "N _ _"]) -> HandMask:
         """Grow the masks by one distance in all frames until they are as large as these silhouettes.
 
-        Masks that keep away from the object often keep away from everything else, too. A hand that shall meet such a
-        mask turns, for its size is known. Masks that are too small by less than the first of ``MASK_GROWTH_RANGE_PX`` stay as they
-        are. So do masks that are too large: the hand may be elsewhere.
+        Masks that keep away from the object often keep away from all borders. A hand of known size that is fitted to
+        such a mask turns. Masks too small by less than the first of ``MASK_GROWTH_RANGE_PX`` stay unchanged, and so do
+        masks that are too large, whose hand may be at another place.
         """
         valid, field = unpack(self.valid, HAND_CROP_SIZE_PX), self.with_field.field
         least, most = MASK_GROWTH_RANGE_PX
@@ -103,20 +102,20 @@ class HandMask:
 
     @cached_property
     def pixels(self) -> int:
-        """How many pixels of the hand are seen, in all frames."""
+        """Number of the hand's visible pixels, in all frames."""
         return int(unpack(self.observed, HAND_CROP_SIZE_PX).sum())
 
 
 @dataclass(frozen=True)
 class HandContour:
-    """Points of a hand's contour in N frames, against those of its mask.
+    """Points of a hand's contour in N frames, against its mask's contour.
 
     Attributes:
         value: (N,) pixels in which silhouette and mask differ; infinite for a hand behind the camera.
         weight: (N, M) length of contour that each point stands for [px]; 0: none.
         distance: (N, M) signed distance to the mask's contour [px].
-        nearest: (N, M) the vertex that each point goes with.
-        along: (N, M, 3) derivative of how far a point moves outward [px] by that vertex in the camera frame [m].
+        nearest: (N, M) the vertex that each point moves with.
+        along: (N, M, 3) derivative of a point's outward motion [px] by that vertex in the camera frame [m].
     """
 
     value: Float[ndarray, "N"]
@@ -135,7 +134,7 @@ class HandContour:
 
 @dataclass(frozen=True)
 class HandSilhouette:
-    """A hand's errors, and the mask that tells them."""
+    """A hand's errors, and the mask that they are measured by."""
 
     errors: HandErrors
     mask: HandMask
@@ -143,19 +142,17 @@ class HandSilhouette:
 
     @staticmethod
     def of(clip: Clip, masks: Masks) -> HandSilhouette:
-        """Make the silhouette of a clip and its input masks, without their field and without bends."""
+        """Make the silhouette of a clip and its masks, with rigid errors only and without the masks' field."""
         return HandSilhouette(HandErrors.of(clip.hand), HandMask.of(clip, masks), _hand_edges(clip.hand))
 
     @property
     def with_field(self) -> HandSilhouette:
-        """Silhouette with the masks' field, which the derivatives need."""
+        """The silhouette with the masks' field, which the derivatives need."""
         return replace(self, mask=self.mask.with_field)
 
     def with_masks_grown(self, x: Float[ndarray, "N P"]) -> HandSilhouette:
         """Grow the masks to the size of the silhouettes at x, if they are much too small."""
-        in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
-        silhouettes = _compute_contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[3]
-        return replace(self, mask=self.mask.grown_to(silhouettes))
+        return replace(self, mask=self.mask.grown_to(self._drawn(x)[3]))
 
     def with_fingers(self, sideways: bool = False) -> HandSilhouette:
         """Return a silhouette whose fingers may bend, and turn sideways."""
@@ -167,23 +164,26 @@ class HandSilhouette:
 
     def differing(self, x: Float[ndarray, "N P"]) -> float:
         """Count the pixels in which silhouette and mask differ, in all frames."""
-        in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
-        return float(_compute_contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[0].sum())
+        return float(self._drawn(x)[0].sum())
 
     def share(self, x: Float[ndarray, "N P"]) -> float:
-        """Return which share of the hand's seen pixels differ from its silhouette; NaN where none is seen."""
+        """Compute the fraction of the hand's visible pixels that differ from its silhouette; NaN without any."""
         return self.differing(x) / self.mask.pixels if self.mask.pixels else float("nan")
+
+    def _drawn(self, x: Float[ndarray, "N P"]) -> _Contours:
+        in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
+        return _compute_contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)
 
     def __call__(
         self, x: Float[ndarray, "N P"]
     ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
-        """Pixels of each frame in which silhouette and mask differ, gradient and Gauss-Newton Hessian by the errors."""
+        """Count the differing pixels of each frame, with gradient and Gauss-Newton Hessian by the errors."""
         vertices, joints = self.errors.surface(x)
         contour = self.contour(se3.transform(self.errors.T_cam_hand(x), vertices))
         return contour.quadratic(self.errors.jacobian(x, vertices, joints, contour.nearest, contour.along))
 
     def contour(self, in_camera: Float[ndarray, "N V 3"]) -> HandContour:
-        """Return the contour of the hand's vertices in the camera frame, beside that of its mask."""
+        """Return the contour of the hand's vertices in the camera frame, against the mask's contour."""
         value, points, nearest, _ = _compute_contours(in_camera, self.errors.tracked, self.edges, self.mask)
         z, (fx, fy, cx, cy) = np.maximum(points[:, Z], 1e-6), self.mask.K.T[..., None]
         nx, ny = points[:, NX] / z, points[:, NY] / z
@@ -195,9 +195,12 @@ class HandSilhouette:
 def hand_crops(clip: Clip) -> Crops:
     """Return the crops about a clip's hand."""
     uv = project(clip.K, se3.transform(clip.hand.T_cam_hand, clip.hand.vertices))
-    return crops_of_boxes(
-        np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1), HAND_CROP_EXPANSION, HAND_CROP_SIZE_PX
-    )
+    boxes = np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1)
+    return crops_of_boxes(boxes, HAND_CROP_EXPANSION, HAND_CROP_SIZE_PX)
+
+
+_Contours = tuple[Float[ndarray, "N"], Float[ndarray, "N 7 M"], Int[ndarray, "N M"], UInt64[ndarray, "N _ _"]]
+"""Output of ``geometry.kernels.silhouette.contours``: value, points, nearest vertices, bits."""
 
 
 def _compute_contours(
@@ -206,15 +209,15 @@ def _compute_contours(
     edges: Int[ndarray, "4 E"],
     mask: HandMask,
     most: int = MAX_HAND_CONTOUR_POINTS,
-) -> tuple[Float[ndarray, "N"], Float[ndarray, "N 7 M"], Int[ndarray, "N M"], UInt64[ndarray, "N _ _"]]:
-    """Return the output of ``geometry.kernels.silhouette.contours``: value, at most ``most`` points, nearest, bits."""
+) -> _Contours:
+    """Compute the silhouettes' contours, of at most ``most`` points each, against the masks'."""
     N = len(vertices)
     value, points, nearest = np.empty(N), np.empty((N, 7, most)), np.empty((N, most), np.int64)
     bits = np.empty_like(mask.observed)
     contours(
         np.ascontiguousarray(np.swapaxes(vertices, 1, 2)), np.ascontiguousarray(hand.faces), edges,
-        bool(np.all(edges[3] < len(hand.faces))),
-        mask.K, mask.observed, mask.valid, mask.field, HAND_CONTOUR_STEP_PX, HAND_CONTOUR_DELTA_PX, bits, value, points, nearest,
+        bool(np.all(edges[3] < len(hand.faces))), mask.K, mask.observed, mask.valid, mask.field, HAND_CONTOUR_STEP_PX,
+        HAND_CONTOUR_DELTA_PX, bits, value, points, nearest,
     )  # fmt: skip
     return value, points, nearest, bits
 
@@ -224,7 +227,6 @@ def _hand_edges(hand: HandTrack) -> Int[ndarray, "4 E"]:
 
 
 def _mask_bits(hand: HandTrack, K: Float[ndarray, "N 4"]) -> UInt64[ndarray, "N _ _"]:
-    """Render the input hand's silhouette in the crops."""
     N = len(K)
     nothing = np.zeros((N, HAND_CROP_SIZE_PX, HAND_CROP_SIZE_PX // 64), np.uint64)
     unseen = HandMask(K, nothing, nothing, _empty_fields(N))
@@ -232,24 +234,21 @@ def _mask_bits(hand: HandTrack, K: Float[ndarray, "N 4"]) -> UInt64[ndarray, "N 
 
 
 def _empty_fields(frames: int) -> Float32[ndarray, "N 0 0"]:
-    """Fields that are not known."""
     return np.empty((frames, 0, 0), np.float32)
 
 
 def _dilated_silhouettes(bits: UInt64[ndarray, "N _ _"]) -> Bool[ndarray, "N n n"]:
-    """Pixels at most ``HAND_CROP_DILATION_PX`` from a silhouette."""
+    """Mark the pixels at most ``HAND_CROP_DILATION_PX`` from a silhouette."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * HAND_CROP_DILATION_PX + 1, 2 * HAND_CROP_DILATION_PX + 1))
     return np.stack([cv2.dilate(m.view(np.uint8), disc) for m in unpack(bits, HAND_CROP_SIZE_PX)]).view(bool)
 
 
 def _beyond_wrist(hand: HandTrack, K: Float[ndarray, "N 3 3"]) -> Bool[ndarray, "N n n"]:
-    """Pixels on the arm's side of the wrist; none where the joints are not known."""
+    """Mark the pixels on the arm's side of the wrist; none for a hand without joints."""
     if hand.joints is None:
         return np.zeros((len(K), HAND_CROP_SIZE_PX, HAND_CROP_SIZE_PX), dtype=bool)
-    wrist, knuckle = np.moveaxis(
-        project(K, se3.transform(hand.T_cam_hand, hand.joints[:, [WRIST_JOINT, MIDDLE_KNUCKLE_JOINT]])), 1, 0
-    )
+    ends = se3.transform(hand.T_cam_hand, hand.joints[:, [WRIST_JOINT, MIDDLE_KNUCKLE_JOINT]])
+    wrist, knuckle = np.moveaxis(project(K, ends), 1, 0)
     v, u = np.mgrid[:HAND_CROP_SIZE_PX, :HAND_CROP_SIZE_PX] + 0.5
-    return np.stack(
-        [(u - x) * du + (v - y) * dv > 0.0 for (x, y), (du, dv) in zip(wrist, wrist - knuckle, strict=True)]
-    )
+    pairs = zip(wrist, wrist - knuckle, strict=True)
+    return np.stack([(u - x) * du + (v - y) * dv > 0.0 for (x, y), (du, dv) in pairs])

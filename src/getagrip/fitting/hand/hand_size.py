@@ -1,9 +1,9 @@
-"""The size of a hand that was lifted from 2D, where a sensor's depth or the object's own size tells it.
+"""The size of a hand that was lifted from 2D, from a sensor's depth or from the object's known size.
 
-Such a hand has an assumed size, and its distance follows from that: a mug of known size would be elsewhere than the
-hand that holds it. To one camera a scene that is twice as large and twice as far away is the same. So the hand is
-scaled about the camera until it is where a sensor's depth shows it. Without such depth the object's size is free beside
-the hand's in the fit, and what is found is scaled until the object has its own.
+A lifted hand has an assumed size, and its distance follows from the size: a mug of known size would be apart from the
+hand that holds it. To one camera a scene twice as large and twice as far away is the same. So the hand is scaled about
+the camera to the distance that a sensor's depth shows. Without depth the object's size is free beside the hand's in the
+fit, and the result is scaled until the object has its known size.
 """
 
 from __future__ import annotations
@@ -27,32 +27,30 @@ HAND_SIZE_SIGMA = 0.1
 HAND_SIZE_FROM_OBJECT = assumed("it follows from the object's, which is known")
 HAND_SIZE_FROM_DEPTH = estimated("from the distance at which a sensor's depth shows the hand")
 N_HAND_SIZE_FRAMES, MAX_HAND_SIZE_SAMPLES, MIN_HAND_SIZE_SAMPLES = 12, 100, 20
-"""Frames in which depth is looked at; most samples of the hand in each; fewest in all that tell its size."""
+"""Number of frames whose depth is read; maximum number of the hand's samples in each; minimum number in all frames."""
 
 
 def with_hand_size(clip: Clip, options: Options) -> Clip:
-    """Return the clip with a lifted hand where a sensor shows it, or else the object's size free beside the hand's.
+    """Return the clip with a lifted hand at the distance of a sensor's depth, or else the object's size free.
 
-    A clip without depth of a sensor, and whose object's size is not known, stays as it is; so do timelines, whose
-    segments are solved without a hand, too.
+    A clip without a sensor's depth whose object's size is unknown stays unchanged. So do timelines, some of whose
+    segments are solved without a hand.
     """
     if not is_assumed(clip.provenance.get("hands_scale")) or clip.segments or options.as_published:
         return clip
     size = hand_size_from_depth(clip)
     if not np.isnan(size):
         hand = replace(clip.hand.scaled(size), T_cam_hand=_scale_translations(clip.hand.T_cam_hand, size))
-        return replace(
-            clip, hand=hand, hand_scale=size, provenance=clip.provenance | {"hands_scale": HAND_SIZE_FROM_DEPTH}
-        )
+        provenance = clip.provenance | {"hands_scale": HAND_SIZE_FROM_DEPTH}
+        return replace(clip, hand=hand, hand_scale=size, provenance=provenance)
     if clip.scale != "known":
         return clip
-    return replace(
-        clip, scale="free", size_beside_hand=True, provenance=clip.provenance | {"hands_scale": HAND_SIZE_FROM_OBJECT}
-    )
+    provenance = clip.provenance | {"hands_scale": HAND_SIZE_FROM_OBJECT}
+    return replace(clip, scale="free", size_beside_hand=True, provenance=provenance)
 
 
 def hand_size_from_depth(clip: Clip) -> float:
-    """Return how many times as far away a sensor's depth shows the hand as it is given; NaN where it does not.
+    """Return the ratio of the hand's distance in a sensor's depth to its input distance; NaN where unknown.
 
     Raises ``InputError`` for masks and depth that cannot be read.
     """
@@ -68,15 +66,16 @@ def hand_size_from_depth(clip: Clip) -> float:
 
 
 def restore_object_size(result: Reconstruction, clip: Clip) -> Reconstruction:
-    """Return the result of a clip ``with_hand_size`` as one of the clip before: the object at its own size.
+    """Scale the result of a clip ``with_hand_size`` about the camera until the object has its known size.
 
-    What was found is scaled about the camera, where the object's size is known and was free.
+    The result of a clip whose size was not changed stays unchanged.
     """
     size = 1.0 / result.scale if clip.size_beside_hand else 1.0
     if size * clip.hand_scale == 1.0:
         return result
     assert result.T_cam_hand is not None
     axis, found, covariance = result.axis, result.candidates, result.hand_covariance
+    others = result.hand_alternatives
     units = np.array([size, size, size, 1.0, 1.0, 1.0])
     return replace(
         result,
@@ -87,14 +86,11 @@ def restore_object_size(result: Reconstruction, clip: Clip) -> Reconstruction:
         T_cam_hand=_scale_translations(result.T_cam_hand, size),
         hand_scale=size * clip.hand_scale,
         hand_covariance=None if covariance is None else covariance * np.outer(units, units),
-        hand_alternatives=None
-        if result.hand_alternatives is None
-        else _scale_translations(result.hand_alternatives, size),
+        hand_alternatives=None if others is None else _scale_translations(others, size),
     )
 
 
 def _scale_translations(T: Float[ndarray, "*batch 4 4"], size: float) -> Float[ndarray, "*batch 4 4"]:
-    """Return poses whose places are scaled."""
     out = T.copy()
     out[..., :3, 3] *= size
     return out

@@ -1,4 +1,4 @@
-"""Solved hand: where the hand is by all evidence on it and on its object, how well that is known, and what moved it."""
+"""The solved hand: its poses by all evidence on hand and object, their uncertainty, and the energies that changed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from getagrip.fitting.motion import PosesInHand, interpolate_object_poses
 from getagrip.geometry import se3
 
 N_ALTERNATIVE_DIRECTIONS, MIN_POINT_VARIANCE_M2 = 3, 1e-12
-"""Directions in which alternatives of a hand lie; least squared movement of points by a standard deviation [m^2]."""
+"""Number of directions of a hand's alternatives; minimum squared motion of points by a standard deviation [m^2]."""
 
 
 @dataclass(frozen=True)
@@ -22,10 +22,10 @@ class SolvedHand:
 
     Attributes:
         T_cam_hand: (N, 4, 4) its poses.
-        covariance: (6, 6) of the error that all frames share, in the hand frame: shift of its middle [m], turn about
-            it [rad]. By curvature: it knows nothing of minima elsewhere.
-        energy: of each kind of evidence, before and after [px^2 of the 256-pixel crop].
-        differing: share of the hand's seen pixels that differ from its silhouette.
+        covariance: (6, 6) of the error that all frames share, in the hand frame: shift of the hand's middle [m], turn
+            about the middle [rad]. By curvature, without other minima.
+        energy: energy of each kind of evidence, before and after [px^2 of the 256-pixel crop].
+        differing: fraction of the hand's visible pixels that differ from its silhouette.
     """
 
     T_cam_hand: Float[ndarray, "N 4 4"]
@@ -36,29 +36,27 @@ class SolvedHand:
     def alternatives(
         self, points: Float[ndarray, "P 3"], middle: Float[ndarray, "3"], apart: float
     ) -> Float[ndarray, "M 4 4"]:
-        """Return where the hand may be instead: either way along the ``N_ALTERNATIVE_DIRECTIONS`` directions in which it is known least.
+        """Return alternative hand poses, either way along the ``N_ALTERNATIVE_DIRECTIONS`` least certain directions.
 
         Args:
             points: points in the hand, from its middle [m].
             middle: the hand's middle, in the hand frame [m].
-            apart: how far these points are moved, root mean square [m].
+            apart: motion of these points, root mean square [m].
 
         Returns:
-            Poses of the hand in the hand frame, in pairs, the least certain direction first.
+            Poses in the hand frame, in pairs, the least certain direction first.
         """
         certain, axes = np.linalg.eigh(self.covariance)
-        root, moved = axes * np.sqrt(np.maximum(certain, 0.0)), _hand_point_jacobian(points)
+        root, moved = axes * np.sqrt(np.maximum(certain, 0.0)), rigid_point_jacobian(points)
         spread, axes = np.linalg.eigh(root.T @ np.einsum("pij,pik->jk", moved, moved) @ root / len(points))
-        x = (apart * root @ axes[:, ::-1] / np.sqrt(np.maximum(spread[::-1], MIN_POINT_VARIANCE_M2))).T[
-            :N_ALTERNATIVE_DIRECTIONS
-        ]
-        x = np.stack([x, -x], axis=1).reshape(-1, 6)
+        x = (apart * root @ axes[:, ::-1] / np.sqrt(np.maximum(spread[::-1], MIN_POINT_VARIANCE_M2))).T
+        x = np.stack([x, -x], axis=1)[:N_ALTERNATIVE_DIRECTIONS].reshape(-1, 6)
         R = se3.exp_so3(x[:, 3:])
         return se3.rigid(R, middle + x[:, :3] - R @ middle)
 
     def spread(self, points: Float[ndarray, "P 3"]) -> float:
         """Compute the standard deviation of points in the hand, from its middle, that its shared error leaves [m]."""
-        moved = _hand_point_jacobian(points)
+        moved = rigid_point_jacobian(points)
         return float(np.sqrt(np.einsum("pij,jk,pik->p", moved, self.covariance, moved).mean()))
 
     def __str__(self) -> str:
@@ -70,19 +68,18 @@ class SolvedHand:
         )
 
 
-def _hand_point_jacobian(points: Float[ndarray, "P 3"]) -> Float[ndarray, "P 3 6"]:
-    """How points move with the hand's shift and turn."""
+def rigid_point_jacobian(points: Float[ndarray, "P 3"]) -> Float[ndarray, "P 3 6"]:
+    """Differentiate points about a body's centre by the body's shift and turn."""
     return np.concatenate([np.broadcast_to(np.eye(3), (len(points), 3, 3)), -se3.hat(points)], axis=-1)
 
 
 def interpolate_solved_hand(
     T_input: Float[ndarray, "T 4 4"], T_found: Float[ndarray, "n 4 4"], at: ndarray
 ) -> Float[ndarray, "T 4 4"]:
-    """Return the hand of every frame, by interpolating what was found of it in the frames ``at``."""
+    """Interpolate the corrections of the hand's poses in the frames ``at`` to every frame."""
     C = (se3.inverse(T_input[at]) @ T_found)[None]
-    between = interpolate_object_poses(
-        PosesInHand(C[..., :3, :3], C[..., :3, 3], np.ones(1)), at, np.arange(len(T_input))
-    )
+    corrections = PosesInHand(C[..., :3, :3], C[..., :3, 3], np.ones(1))
+    between = interpolate_object_poses(corrections, at, np.arange(len(T_input)))
     T_cam_hand = T_input @ se3.rigid(between.R[0], between.centre[0])
     T_cam_hand[at] = T_found
     return np.asarray(T_cam_hand)

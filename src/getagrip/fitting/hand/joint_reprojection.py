@@ -1,14 +1,14 @@
-"""The hand's 2D joints against its skeleton, with the errors that detectors have of them.
+"""The hand's 2D joints against its skeleton, under detectors' errors.
 
-A joint's error in the image is the sum of four, in shares of the hand's box: a shift of all joints of a frame, an error
-of the joint that lasts through the clip, one of its own in each frame, and now and then a large one. With r the
-distance of joint j in frame n from where it was seen, the cost of a frame [nats] is
+A joint's error in the image is the sum of four, in fractions of the hand's box: a shift of all joints of a frame, an
+error of the joint that lasts through the clip, the joint's own error in each frame, and rarely a large one. With r the
+difference of joint j's projection in frame n from its 2D point, the cost of a frame [nats] is
 
     min_d  1/2 |d|^2 / t^2 + sum_j c_j (k + 2)/2 log(1 + |r_j - d|^2 / (k s_j^2)),    s^2 = own^2 + N lasting^2
 
-(Student's t, which large errors hardly move). What lasts counts in each of N frames as N of them tell it together:
-once. ``own`` and ``lasting`` are estimated from the clip, t is a share of ``own``. Joints in the object's mask are
-hidden.
+(Student's t, which large errors hardly move). The lasting error's variance is multiplied by N, so that N frames
+together count it once. ``own`` and ``lasting`` are estimated from the clip, t is a fraction of ``own``. Joints in the
+object's mask are hidden.
 """
 
 from __future__ import annotations
@@ -31,42 +31,40 @@ from getagrip.provenance import is_assumed, kind_of_hands
 JOINT_STUDENT_T_DOF = 4.0
 """Degrees of freedom of Student's t."""
 HIDDEN_JOINT_FACTOR = 2.5
-"""How many times as far a joint is off that the object hides."""
+"""Factor on the error of a joint that the object hides."""
 COMMON_SHIFT_RATIO = 0.85
 """Shift of all joints of a frame, in ``own``: as measured, if half of the rest is a frame's own
 (``results/landmark-errors.json``)."""
 INITIAL_JOINT_ERROR, MIN_JOINT_ERROR = 0.03, 0.004
-"""Error before it is estimated, and the least that is believed [shares of the hand's box]."""
+"""Initial value and minimum of the estimated errors [fractions of the hand's box]."""
 MASK_MARGIN_FRACTION, MAX_OUTSIDE_MASK_FRACTION = 0.08, 0.3
-"""A joint farther from the masks than this share of the joints' box is elsewhere; joints more of which are elsewhere
-are not this hand's."""
+"""Joint-to-mask distance, as a fraction of the joints' bounding box, above which a joint is an outlier; and fraction of
+outliers above which the detection is discarded."""
 MAX_LASTING_ERROR, MAX_MISPLACED_ERROR = 0.1, 0.18
-"""Joints whose lasting errors are larger are another hand's, too. Where two joints are farther off than the second
-through all of a clip, their order is another: right ones are at most 0.16 on training clips; with two fingers exchanged
-half are above it, and the others do no harm (docs/trials.md)."""
+"""Maximum lasting error of this hand's joints, and maximum lasting error of the worst joint but one in their right
+order: at most 0.16 on training clips; with two fingers exchanged half are above the maximum, and the others do no harm
+(docs/trials.md)."""
 MAX_JOINT_COORDINATE_PX = 1e6
-"""Coordinates from which on a joint counts as not seen [px]."""
+"""Coordinate from which on a joint counts as invisible [px]."""
 N_ERROR_ITERATIONS, ERROR_FIT_STEPS = 2, 12
 MAX_SHIFT_ITERATIONS, SHIFT_TOLERANCE = 40, 1e-4
-"""Most iterations for d, and the step that ends them [deviations]."""
-ASSUMED_HAND_ERRORS = AssumedErrors(
-    np.repeat([0.16, 0.015, 0.06, 0.2], [3, 3, 1, 20]), np.repeat([0.08, 0.006, 0.003, 0.1], [3, 3, 1, 20])
-)
-"""Errors of the hand while those of the joints are estimated; wide, so that they are not taken for the joints'."""
+"""Maximum number of iterations for d, and the step that ends them [deviations]."""
+ASSUMED_HAND_ERRORS = AssumedErrors.of((0.16, 0.015, 0.06, 0.2), (0.08, 0.006, 0.003, 0.1))
+"""Errors of the hand while the joints' are estimated; wide, so that they do not count as the joints'."""
 
 
 @dataclass(frozen=True)
 class SeenJoints:
-    """A hand and its joints as seen, in N frames.
+    """A hand and its 2D joints in N frames.
 
     Attributes:
-        errors: the hand, which has joints.
+        errors: the errors of the hand, which has joints.
         K: (N, 3, 3) intrinsics [px].
-        points: (N, 21, 2) where the joints were seen [px].
-        confidence: (N, 21) how much each counts, 0 to 1.
-        box: (N, 21) size of the hand's box [px]; of a hidden joint ``HIDDEN_JOINT_FACTOR`` times that.
-        own, lasting: standard deviations [shares of the box].
-        misplaced: how far all joints but one are off through all frames, at most [shares of the box].
+        points: (N, 21, 2) the 2D joints [px].
+        confidence: (N, 21) weight of each, 0 to 1.
+        box: (N, 21) size of the hand's box [px], times ``HIDDEN_JOINT_FACTOR`` for a hidden joint.
+        own, lasting: standard deviations [fractions of the box].
+        misplaced: lasting error of the worst joint but one [fraction of the box].
     """
 
     errors: HandErrors
@@ -80,18 +78,16 @@ class SeenJoints:
 
     @staticmethod
     def of(clip: Clip, masks: Masks | None) -> SeenJoints | None:
-        """Return the joints of a clip, their errors estimated; None where it has none, or they are not its hand's.
+        """Make them from a clip's joints, their errors estimated; None without joints, or for another hand's.
 
-        ``masks``: in the same frames; None: no joint is taken to be hidden.
+        ``masks`` are in the same frames; None: no joint counts as hidden.
         """
         hand = clip.hand
         if hand.joints is None or hand.joints_2d is None or hand.joints_2d_confidence is None:
             return None
-        there = (np.abs(hand.joints_2d) < MAX_JOINT_COORDINATE_PX).all(axis=-1)  # not of NaN
-        confidence, points = (
-            np.where(there, hand.joints_2d_confidence, 0.0),
-            np.where(there[..., None], hand.joints_2d, 0.0),
-        )
+        visible = (np.abs(hand.joints_2d) < MAX_JOINT_COORDINATE_PX).all(axis=-1)  # not of NaN
+        confidence = np.where(visible, hand.joints_2d_confidence, 0.0)
+        points = np.where(visible[..., None], hand.joints_2d, 0.0)
         if np.count_nonzero(confidence.any(axis=1)) < 2:
             return None
         if masks is not None and outside_mask_fraction(clip, masks) > MAX_OUTSIDE_MASK_FRACTION:
@@ -118,24 +114,24 @@ class SeenJoints:
 
     @property
     def loose(self) -> bool:
-        """True of the joints of an estimate that was not lifted from them: its size and fingers may be far off."""
+        """True of an estimated hand not lifted from these joints, whose size and fingers may be far off."""
         return self.errors.sideways
 
     @property
     def rigid(self) -> SeenJoints:
-        """Joints of a hand whose fingers keep their bends."""
+        """The joints of a hand whose fingers stay fixed."""
         return replace(self, errors=replace(self.errors, weights=None))
 
     @property
     def size(self) -> float:
-        """Standard deviation of a joint in a frame, the whole of it [shares of the hand's box]."""
+        """Standard deviation of a joint in a frame, of all its errors [fraction of the hand's box]."""
         return float(np.sqrt((1.0 + COMMON_SHIFT_RATIO**2) * self.own**2 + self.lasting**2))
 
     def with_sizes_estimated(self) -> SeenJoints:
-        """Estimate ``own`` and ``lasting``: fit the hand, and see what stays.
+        """Estimate ``own`` and ``lasting`` from the residuals of a fit of the hand.
 
-        Differences of consecutive frames tell the first, the median of each joint over all frames the second.
-        What a fit of p of m numbers leaves is smaller than the errors, by sqrt(1 - p / m).
+        Differences of consecutive frames tell the first, the median of each joint over all frames the second. Residuals
+        of a fit of p parameters to m numbers are smaller than the errors, by sqrt(1 - p / m).
         """
         seen, start = self, np.zeros((len(self.K), self.errors.size))
         for _ in range(N_ERROR_ITERATIONS):
@@ -152,13 +148,12 @@ class SeenJoints:
             of_median = 0.5 * np.pi * own**2 / len(counts)
             lasting = float(np.sqrt(max(lasting**2 - of_median, 0.0)))
             misplaced = float(np.sort(np.linalg.norm(each, axis=-1))[-2:][0])
-            seen = replace(
-                seen, own=max(own, MIN_JOINT_ERROR), lasting=max(lasting, MIN_JOINT_ERROR), misplaced=misplaced
-            )
+            own, lasting = max(own, MIN_JOINT_ERROR), max(lasting, MIN_JOINT_ERROR)
+            seen = replace(seen, own=own, lasting=lasting, misplaced=misplaced)
         return seen
 
     def in_camera(self, x: Float[ndarray, "N P"]) -> Float[ndarray, "N 21 3"]:
-        """Return the skeleton in the camera frame, by the hand's errors."""
+        """Return the skeleton in the camera frame, with the hand's errors x."""
         joints = self.errors.surface(x)[1]
         assert joints is not None
         return np.asarray(se3.transform(self.errors.T_cam_hand(x), joints))
@@ -166,7 +161,7 @@ class SeenJoints:
     def __call__(
         self, x: Float[ndarray, "N P"]
     ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
-        """Cost of each frame [nats], gradient and Gauss-Newton Hessian by the hand's errors."""
+        """Compute the cost of each frame [nats], with gradient and Gauss-Newton Hessian by the hand's errors."""
         joints = self.errors.surface(x)[1]
         assert joints is not None
         X = se3.transform(self.errors.T_cam_hand(x), joints)
@@ -184,7 +179,7 @@ class SeenJoints:
         WJ = flat[..., None] * J
         JW = np.swapaxes(WJ, 1, 2)
         g = (JW @ error.reshape(len(X), 42, 1))[..., 0]
-        # The shift follows: what it takes up tells nothing (Schur complement).
+        # The frame's shift is eliminated (Schur complement).
         taken = WJ.reshape(len(X), 21, 2, -1).sum(axis=1)
         H = JW @ J - np.swapaxes(taken, 1, 2) @ (taken / (weight.sum(axis=1) + shift**-2.0)[:, None, None])
         return value, g, H
@@ -203,37 +198,34 @@ class SeenJoints:
             w = self.confidence * (JOINT_STUDENT_T_DOF + 2.0) / (JOINT_STUDENT_T_DOF + q) / s2
             if np.all(np.abs(d - before) < SHIFT_TOLERANCE * t[:, None]):
                 break
-        value = 0.5 * np.sum(d**2, axis=1) / t**2
-        value = value + 0.5 * (JOINT_STUDENT_T_DOF + 2.0) * np.sum(
-            self.confidence * np.log1p(q / JOINT_STUDENT_T_DOF), axis=1
-        )
+        tails = np.sum(self.confidence * np.log1p(q / JOINT_STUDENT_T_DOF), axis=1)
+        value = 0.5 * np.sum(d**2, axis=1) / t**2 + 0.5 * (JOINT_STUDENT_T_DOF + 2.0) * tails
         return np.where((X[..., 2] > 0.0).all(axis=1), value, np.inf), off - d[:, None], w, t
 
 
 def outside_mask_fraction(clip: Clip, masks: Masks) -> float:
-    """Measure the share of joints seen in the image that are neither on the hand nor on the object, by the masks.
+    """Measure the fraction of joints in the image that lie neither on the hand's nor on the object's mask.
 
-    NaN where there are no joints, or no masks that show the hand.
+    NaN without joints, or without masks that show the hand.
     """
     hand, hands = clip.hand, masks.ignore if masks.hand is None else masks.hand
     if hand.joints_2d is None or hand.joints_2d_confidence is None:
         return float("nan")
-    elsewhere, height, width = [], *masks.object.shape[1:]
-    for seen, confidence, shown, held in zip(
-        hand.joints_2d, hand.joints_2d_confidence, hands, masks.object, strict=True
-    ):
-        inside = np.all((seen >= 0.0) & (seen < [width, height]), axis=1)  # not of NaN
-        points = seen[(confidence > 0.0) & inside]
+    outside, height, width = [], *masks.object.shape[1:]
+    frames = zip(hand.joints_2d, hand.joints_2d_confidence, hands, masks.object, strict=True)
+    for joints, confidence, shown, held in frames:
+        inside = np.all((joints >= 0.0) & (joints < [width, height]), axis=1)  # not of NaN
+        points = joints[(confidence > 0.0) & inside]
         if not shown.any() or not len(points):
             continue
         beside = MASK_MARGIN_FRACTION * np.ptp(points, axis=0).max()
         margin, pixels = int(beside) + 2, points.astype(int)
-        first, last = np.maximum(pixels.min(axis=0) - margin, 0), pixels.max(axis=0) + margin + 1  # what can be near
+        first, last = np.maximum(pixels.min(axis=0) - margin, 0), pixels.max(axis=0) + margin + 1
         window = slice(first[1], last[1]), slice(first[0], last[0])
         far = cv2.distanceTransform((~(shown[window] | held[window])).astype(np.uint8), cv2.DIST_L2, 3)
         u, v = (pixels - first).T
-        elsewhere += list(far[v, u] > beside)
-    return float(np.mean(elsewhere)) if elsewhere else float("nan")
+        outside += list(far[v, u] > beside)
+    return float(np.mean(outside)) if outside else float("nan")
 
 
 def projection_jacobian(K: Float[ndarray, "N 3 3"], X: Float[ndarray, "N 21 3"]) -> Float[ndarray, "N 21 2 3"]:
@@ -254,21 +246,18 @@ def _joints_in_camera(hand: HandTrack) -> Float[ndarray, "N 21 3"]:
 
 
 def _inside_object_masks(masks: Masks, points: Float[ndarray, "N 21 2"]) -> Bool[ndarray, "N 21"]:
-    """Tell which points lie in the object's masks."""
     height, width = masks.object.shape[1:]
     u, v = np.clip(points, 0.0, [width - 1, height - 1]).astype(int).transpose(2, 0, 1)
     return np.stack([mask[y, x] for mask, x, y in zip(masks.object, u, v, strict=True)])
 
 
 def _evidence_share(H: Float[ndarray, "*n P P"], deviation: Float[ndarray, "Q"]) -> Float[ndarray, "*n P P"]:
-    """Share of each number that the evidence decides, and not the prior."""
+    """Compute the part of each number that the evidence decides, and not the prior."""
     return np.asarray(np.linalg.solve(H + np.diag(deviation[: H.shape[-1]] ** -2.0), H))
 
 
 def _robust_deviation(error: Float[ndarray, "n 2"]) -> float:
     """Estimate the standard deviation along each axis, by the median."""
-    return (
-        float(np.median(np.linalg.norm(error, axis=1)) / np.sqrt(2.0 * np.log(2.0)))
-        if len(error)
-        else INITIAL_JOINT_ERROR
-    )
+    if not len(error):
+        return INITIAL_JOINT_ERROR
+    return float(np.median(np.linalg.norm(error, axis=1)) / np.sqrt(2.0 * np.log(2.0)))

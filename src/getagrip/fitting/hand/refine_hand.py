@@ -1,23 +1,20 @@
-"""Hand refinement: align the hand's poses to its silhouette, under a prior on trackers' errors.
+"""Repair an input hand's tracker glitches, and refine its poses against its silhouette and its 2D joints.
 
-Minimised is, over the errors x_n = b + e_n of each frame (``HandErrors``), b the same in all frames,
-
-    PIXEL * sum_n E_n(x_n) + 1/2 |b / bias|^2 + 1/2 sum_n |e_n / jitter|^2
-
-with E_n the pixels in which the hand's silhouette differs from its mask (``HandSilhouette``). E counts area, so that a
-finger that is elsewhere weighs by its length and not by its square.
-
-Detect and repair tracker glitches: flips, dropouts, identity swaps.
-
-In each frame the hand may be as given, or flipped: by half a turn about one of its axes. Kept are those frames, each
-with one of these four hands, for which the least is
+**Glitches** are flips, dropouts and identity swaps. In each frame the hand may be the input hand, or flipped: turned by
+half a turn about one of its axes. The frames that are kept, each with one of these four hands, minimise
 
     sum_(i, j) d(i, j) + price * (number of frames left out) + FLIP * price * (number of flips),
 
-over neighbours i < j among them, with d(i, j) how far the hand's surface moves from i to j (root mean square). So a
-frame is left out where the detour by it is longer than the price, and k in a row where it is longer than k prices; one
-in which the hand is on its path but for a flip costs less. In the frames left out the hand is put between its
-neighbours.
+over neighbouring kept frames i < j, with d(i, j) the motion of the hand's surface from i to j (root mean square). So a
+frame is left out where the detour through it is longer than the price, and k in a row where the detour is longer than k
+prices; a frame whose hand is on the path but for a flip costs less. In frames left out the hand is interpolated.
+
+**Refinement** minimises, over the errors x_n = b + e_n of each frame (``HandErrors``), b the same in all frames,
+
+    PIXEL * sum_n E_n(x_n) + 1/2 |b / bias|^2 + 1/2 sum_n |e_n / jitter|^2
+
+with E_n the pixels in which the hand's silhouette differs from its mask (``HandSilhouette``), and the joints' cost. E
+counts area, so that a wrong finger weighs by its length and not by its length squared.
 """
 
 from __future__ import annotations
@@ -50,27 +47,58 @@ from getagrip.geometry import se3
 from getagrip.provenance import HandsKind, kind_of_hands
 
 MIN_FRAME_PRICE_M = 0.04
-"""Lowest price of a frame [m]. On DexYCB's training subjects no true hand makes a detour of more than 5 mm."""
+"""Minimum price of a frame [m]. On DexYCB's training subjects no true hand makes a detour of more than 5 mm."""
 FRAME_PRICE_FACTOR = 4.0
-"""The price where hands are fast, in the step from frame to frame that two thirds of the steps exceed."""
+"""Price where hands are fast, in the step from frame to frame that two thirds of the steps exceed."""
 END_PRICE_FACTOR, MAX_END_FRAMES = 2.0, 3
-"""Price at an end, in the steps that follow; number of these that count, and most frames left out there."""
+"""Price at either end of a clip, in the median of the steps that follow; number of these steps, and maximum number of
+frames left out at an end."""
 FLIP_PRICE_FRACTION = 0.25
-"""Price of a flip, in that of a frame."""
+"""Price of a flip, in the price of a frame."""
 FLIP_ROTATIONS = se3.exp_so3(np.pi * np.eye(4)[:, 1:])
-"""The hand as given, and by half a turn about each of its axes."""
+"""No turn, and half a turn about each of the hand's axes."""
 MAX_GLITCH_GAP_FRAMES = 30
-"""Most frames from one that is kept to the next."""
+"""Maximum number of frames from one kept frame to the next."""
 N_GLITCH_POINTS = 16
-"""Points of the surface that stand for the hand."""
+"""Number of surface points whose motion is measured."""
+HAND_PIXEL_WEIGHT = 0.03
+"""Weight of a pixel against the prior: thirty pixels, side by side along a contour, count as one observation."""
+ASSUMED_ERRORS: Mapping[HandsKind, AssumedErrors] = {
+    "measured": AssumedErrors.of((0.08, 0.008, 0.01, 0.2), (0.03, 0.003, 0.003, 0.1), HAND_PIXEL_WEIGHT),
+    "estimated": AssumedErrors.of((0.14, 0.008, 0.01, 0.2), (0.08, 0.006, 0.003, 0.1), HAND_PIXEL_WEIGHT),
+}
+"""Assumed errors that all frames share, and each frame's own, which are taken as independent. Those of estimates from
+images are measured (docs/datasets.md), but for the size, without which nothing tells the distance."""
+SIZE_SIGMA_WITH_JOINTS = 0.05
+"""Standard deviation of the size of an estimated hand with 2D joints; chosen on real ones (docs/trials.md)."""
+MIN_CORRECTED_FRACTION = 0.01
+"""Minimum fraction of the hand's visible pixels that a refinement must correct; less is noise of masks."""
+MIN_JOINT_CORRECTION = 0.01, 0.002
+"""Minimum turn [rad] and shift [m] that joints must ask for where pixels ask for none; a hand lifted from the same
+joints agrees with them."""
+MAX_DIFFERING_FRACTION, MAX_DIFFERING_WITH_JOINTS = 0.25, 0.4
+"""Maximum fraction of pixels that differ after refinement; above it the mask is another hand's. With joints that tell
+the fingers the maximum is that of the finding ``hand-off-pixels``."""
+SUSPECT_JOINTS_FRACTION, JOINTS_CONTRADICTION_FRACTION = 0.12, 0.05
+"""Fraction of differing pixels above which joints are suspect, and decrease of the fraction without them above which
+they are left out, as another hand's or another camera's."""
+MAX_MEASURED_TURN_RAD, MAX_REMAINING_FRACTION = np.radians(4.5), 0.5
+"""A hand declared as measured counts as estimated if it is turned by more than the first, and at most the second of its
+differing pixels remain [fraction]. On training clips hands of 10 mm and 8 degrees are turned by 4.9 or more,
+``moderate`` ones by up to 4.3, and ``strong`` ones leave 36 % at most. Masks that are off by 4 px turn exact hands by
+up to 6.2 degrees, but then leave 80 %."""
+REFINEMENT_ITERATIONS = 10, 8, 3
+"""Iterations: without bends; with them, at some of the frames; at all of them."""
+N_FLEXION_FRAMES = 10
+"""Number of frames of the second stage."""
 
 
 def repair_hand(clip: Clip, options: Options) -> tuple[Clip, Glitches | None]:
-    """Flip the hand back, or interpolate it, in frames with tracker glitches; also return those frames.
+    """Flip the hand back, or interpolate it, in frames with tracker glitches; also return these frames.
 
-    The clip stays unchanged, without such frames (None), where the options say that hands are as given.
-    Rotations are interpolated along the shortest path, the hand's middle along a line; before the first frame that is
-    kept and after the last, the hand is as there. Vertices stay as given.
+    Where the options leave hands as they are, the clip stays unchanged and no frames (None) are returned. Rotations are
+    interpolated along the shortest path, the hand's middle along a line; before the first kept frame and after the last
+    the hand has their poses. Vertices stay unchanged.
     """
     if options.hands == "as-given" or options.as_published:
         return clip, None
@@ -88,16 +116,16 @@ def repair_hand(clip: Clip, options: Options) -> tuple[Clip, Glitches | None]:
 
 
 def frames_without_glitch(hand: HandTrack) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
-    """Return the frames without a glitch, but for a flip, and which of ``FLIP_ROTATIONS`` puts the hand on its path there."""
-    steps = surface_steps(hand)
+    """Return the kept frames, and the index of each one's turn among ``FLIP_ROTATIONS``."""
+    steps = _surface_steps(hand)
     if not steps:
         return np.arange(len(hand.T_cam_hand)), np.zeros(len(hand.T_cam_hand), int)
     given = steps[0][:, 0, 0]
     shortest = np.minimum(steps[0][:, 0].min(axis=1), steps[0][:, :, 0].min(axis=1))
     price = max(MIN_FRAME_PRICE_M, FRAME_PRICE_FACTOR * float(np.quantile(shortest, 1 / 3)))
     N, flips = len(given) + 1, FLIP_PRICE_FRACTION * price * np.minimum(np.arange(len(FLIP_ROTATIONS)), 1)
-    # Of the best choice that ends with a frame, and a flip there: at first, with it alone.
-    cost = leading_frames_cost(given, price)[:, None] + flips
+    # Cost of the best choice that ends with a frame and a flip in it: at first, with this frame alone.
+    cost = _leading_frames_cost(given, price)[:, None] + flips
     before = np.full((N, len(FLIP_ROTATIONS), 2), -1)
     for n in range(1, N):
         gaps = np.arange(min(n, len(steps)))
@@ -106,7 +134,7 @@ def frames_without_glitch(hand: HandTrack) -> tuple[Int[ndarray, "n"], Int[ndarr
             gap, flip = np.unravel_index(np.argmin(through), through.shape)
             if through[gap, flip] + flips[k] < cost[n, k]:
                 cost[n, k], before[n, k] = through[gap, flip] + flips[k], (n - 1 - gap, flip)
-    at_end = cost + leading_frames_cost(given[::-1], price)[::-1, None]
+    at_end = cost + _leading_frames_cost(given[::-1], price)[::-1, None]
     kept = [np.array(np.unravel_index(np.argmin(at_end), at_end.shape))]
     while before[*kept[-1]][0] >= 0:
         kept.append(before[*kept[-1]])
@@ -114,11 +142,11 @@ def frames_without_glitch(hand: HandTrack) -> tuple[Int[ndarray, "n"], Int[ndarr
     return frames, flip
 
 
-def leading_frames_cost(steps: Float[ndarray, "n"], price: float) -> Float[ndarray, "n+1"]:
+def _leading_frames_cost(steps: Float[ndarray, "n"], price: float) -> Float[ndarray, "n+1"]:
     """Compute the cost of leaving out all frames before each one.
 
-    There is no detour at an end, and a hand that comes in fast is to keep the frames in which it does. So few can be
-    left out, and each costs at least ``END_PRICE_FACTOR`` times the steps that follow.
+    An end has no detour, and a hand that comes in fast keeps its first frames. So few frames can be left out, and each
+    costs at least ``END_PRICE_FACTOR`` times the steps that follow.
     """
     cost = np.full(len(steps) + 1, np.inf)
     for n in range(min(MAX_END_FRAMES + 1, len(steps))):
@@ -126,8 +154,8 @@ def leading_frames_cost(steps: Float[ndarray, "n"], price: float) -> Float[ndarr
     return cost
 
 
-def surface_steps(hand: HandTrack) -> list[Float[ndarray, "_ 4 4"]]:
-    """Compute how far the hand's surface moves [m] from each frame to the next, to the next but one, and so on.
+def _surface_steps(hand: HandTrack) -> list[Float[ndarray, "_ 4 4"]]:
+    """Compute the motion of the hand's surface [m] from each frame to the next, to the next but one, and so on.
 
     Each array is (frame, flip in it, flip in the later frame), flips by their index in ``FLIP_ROTATIONS``.
     """
@@ -145,69 +173,24 @@ def surface_steps(hand: HandTrack) -> list[Float[ndarray, "_ 4 4"]]:
 
 
 def _flips_about_middle(middle: Float[ndarray, "3"]) -> Float[ndarray, "4 4 4"]:
-    """Return ``FLIP_ROTATIONS`` about the hand's middle."""
     return se3.rigid(FLIP_ROTATIONS, middle - FLIP_ROTATIONS @ middle)
-
-
-HAND_PIXEL_WEIGHT = 0.03
-"""Weight of a pixel against the prior: thirty of them, side by side along a contour, are as much as one fact."""
-_ERROR_GROUP_SIZES = [3, 3, 1, 20]
-_ASSUMED_ERRORS: Mapping[HandsKind, AssumedErrors] = {
-    "measured": AssumedErrors(
-        np.repeat([0.08, 0.008, 0.01, 0.2], _ERROR_GROUP_SIZES),
-        np.repeat([0.03, 0.003, 0.003, 0.1], _ERROR_GROUP_SIZES),
-        HAND_PIXEL_WEIGHT,
-    ),
-    "estimated": AssumedErrors(
-        np.repeat([0.14, 0.008, 0.01, 0.2], _ERROR_GROUP_SIZES),
-        np.repeat([0.08, 0.006, 0.003, 0.1], _ERROR_GROUP_SIZES),
-        HAND_PIXEL_WEIGHT,
-    ),
-}
-"""Assumed standard deviations of the errors that all frames share, and of each frame's own, which are taken as
-independent: turn about each axis [rad], shift along each [m], logarithm of the size, bend of each finger joint, turn of
-each finger sideways, beside joints of an estimate [rad].
-Those of estimates from images are measured (docs/datasets.md), but for the size, without which nothing tells the
-distance."""
-SIZE_SIGMA_WITH_JOINTS = 0.05
-"""Standard deviation of the size of an estimated hand whose joints are seen; chosen on real ones (docs/trials.md)."""
-MIN_CORRECTED_FRACTION = 0.01
-"""Share of the hand's visible pixels that a refinement must correct; less is noise of masks."""
-MIN_JOINT_CORRECTION = 0.01, 0.002
-"""Turn [rad] and shift [m] that joints must ask for where pixels ask for none; hands that were lifted from the same
-joints agree with them."""
-MAX_DIFFERING_FRACTION, MAX_DIFFERING_WITH_JOINTS = 0.25, 0.4
-"""Share of them that may still differ afterwards; otherwise the mask is another hand's. Beside joints from which the
-fingers are known it is that of the finding ``hand-off-pixels``."""
-SUSPECT_JOINTS_FRACTION, JOINTS_CONTRADICTION_FRACTION = 0.12, 0.05
-"""Joints with which more than the first share of the pixels differ are left out, if without them fewer do, by the
-second: they are another hand's, or another camera's."""
-MAX_MEASURED_TURN_RAD, MAX_REMAINING_FRACTION = np.radians(4.5), 0.5
-"""A hand that its evidence turns farther, and of whose differing pixels less than this share then still differ, is an
-estimate, whatever its source says. On training clips hands of 10 mm and 8 degrees are turned by 4.9 or more,
-``moderate`` ones by up to 4.3, and ``strong`` ones leave 36 % at most. Masks that are off by 4 px turn exact hands by
-up to 6.2 degrees, but then leave 80 %."""
-REFINEMENT_ITERATIONS = 10, 8, 3
-"""Iterations: without bends; with them, at some of the frames; at all of them."""
-N_FLEXION_FRAMES = 10
-"""Frames of the second of these."""
 
 
 @dataclass(frozen=True)
 class HandRefinement:
-    """A hand that its pixels have corrected.
+    """A refined hand.
 
     Attributes:
         T_cam_hand: (N, 4, 4) its poses.
         turned: mean angle to the input poses [rad].
-        moved: mean distance of the hand's middle from where it was given [m].
-        before, after: share of the hand's seen pixels that differed from its silhouette, and that still do.
-        grown: by how much its masks were grown before, since they are too small all round [px of a crop of 128].
-        seen: the hand as it was given, its pixels, and how errors move it.
+        moved: mean distance of the hand's middle from its input place [m].
+        before, after: fraction of the hand's visible pixels that differ from its silhouette, before and after.
+        grown: growth of masks that are too small all round [px of a crop of 128].
+        seen: the input hand's errors, and its mask.
         shared: (P,) the errors that all frames share (``HandErrors``).
-        own: (N, P) those of each frame.
-        joints: its joints as they were seen; None where they are not known.
-        kind: the kind whose errors it was refined by; a hand given as measured may be found to be an estimate.
+        own: (N, P) the errors of each frame.
+        joints: its 2D joints; None where they are unknown.
+        kind: the kind of hand whose errors were assumed; a hand declared as measured may prove to be an estimate.
     """
 
     T_cam_hand: Float[ndarray, "N 4 4"]
@@ -231,14 +214,14 @@ class HandRefinement:
 
     @property
     def bent(self) -> HandErrors:
-        """The hand where it was given, its fingers bent as its evidence says, and its rigid errors."""
+        """The rigid errors of the input hand, its fingers bent as refined."""
         errors, x = self.seen.errors, self.shared + self.own
         return replace(errors, tracked=_apply_finger_errors(errors, x), weights=None)
 
     def with_fingers(self, hand: HandTrack, at: Int[ndarray, "N"]) -> HandTrack:
-        """Return a hand with its fingers bent as found; this refinement has its frames ``at``.
+        """Return a hand with its fingers bent as refined in the frames ``at``, and interpolated between them.
 
-        Between them bends are interpolated. Fingers stay as given where no joints were seen from which they are known.
+        Fingers stay unchanged without 2D joints that tell them.
         """
         if self.joints is None or not self.joints.loose:
             return hand
@@ -257,14 +240,14 @@ class HandRefinement:
 
 
 def _apply_finger_errors(errors: HandErrors, x: Float[ndarray, "N P"]) -> HandTrack:
-    """Return a hand with the bends of its errors, and nothing else of them."""
+    """Return a hand with the bends of its errors, without the rigid ones."""
     vertices, joints = errors.surface(np.where(np.arange(x.shape[1]) < N_RIGID_ERRORS, 0.0, x))
     return replace(errors.tracked, vertices=vertices, joints=joints)
 
 
 def assumed_errors(kind: HandsKind, joints: SeenJoints | None) -> AssumedErrors:
-    """Return the assumed errors of hands of a kind, whose joints are seen or not."""
-    assumed = _ASSUMED_ERRORS[kind]
+    """Return the assumed errors of a kind of hands, with or without 2D joints."""
+    assumed = ASSUMED_ERRORS[kind]
     if joints is None or not joints.loose:
         return assumed
     bias = assumed.bias.copy()
@@ -273,19 +256,19 @@ def assumed_errors(kind: HandsKind, joints: SeenJoints | None) -> AssumedErrors:
 
 
 def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[HandRefinement | None, float]:
-    """Refine a clip's hand by silhouette and 2D joints; also return the share of its visible pixels that still differ.
+    """Refine a clip's hand by silhouette and 2D joints; also return the fraction of its visible pixels that differ.
 
-    There is no correction where neither is known (without pixels the share is NaN), where its pixels ask for none, and
-    where it cannot be made to agree with them: then they are not this hand's, or it is too far off. Pixels of the hand
-    are those of ``masks.hand``, else the ignored ones near the input hand. Where masks leave gaps (``mask_gaps``) the
-    hand's may be too small all round, and are grown first.
+    The refinement is None where neither is known (without pixels the fraction is NaN), where the pixels ask for none,
+    and where too many pixels would still differ: they are another hand's, or the hand is too far off. Pixels of the
+    hand come from ``masks.hand``, else from the ignored pixels near the input hand. Where the object's masks leave gaps
+    the hand's may be too small all round, and are grown first.
     """
     seen, joints = HandSilhouette.of(clip, masks), SeenJoints.of(clip, masks)
     if seen.mask.pixels == 0 and joints is None:
         return None, float("nan")
     unrefined = np.zeros((len(clip), N_RIGID_ERRORS))
     before = seen.share(unrefined)
-    if np.isinf(before):  # it goes behind the camera, and has no silhouette
+    if np.isinf(before):  # behind the camera the hand has no silhouette
         return None, 1.0
     if have_gaps and seen.mask.pixels:
         seen = seen.with_masks_grown(unrefined)
@@ -308,35 +291,32 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
     T, T_input, middle = seen.errors.T_cam_hand(found.errors), clip.hand.T_cam_hand, seen.errors.middle[None]
     turned = se3.angle_between(T[:, :3, :3], T_input[:, :3, :3])
     moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_input, middle), axis=-1)
-    if (
-        not before - after >= MIN_CORRECTED_FRACTION
-        and turned.mean() < MIN_JOINT_CORRECTION[0]
-        and moved.mean() < MIN_JOINT_CORRECTION[1]
-    ):
+    small = turned.mean() < MIN_JOINT_CORRECTION[0] and moved.mean() < MIN_JOINT_CORRECTION[1]
+    if small and not before - after >= MIN_CORRECTED_FRACTION:
         return None, before
     how = float(turned.mean()), float(moved.mean()), before, after, fitted.silhouette.mask.grown
     return HandRefinement(T, *how, fitted.silhouette, found.shared, found.own, joints, fitted.kind), after
 
 
 @dataclass(frozen=True)
-class _SeenHand:
+class _HandEvidence:
     """The hand's silhouette and, where they are known, its joints."""
 
     silhouette: HandSilhouette
     joints: SeenJoints | None
 
     @property
-    def with_fingers(self) -> _SeenHand:
+    def with_fingers(self) -> _HandEvidence:
         loose = self.joints is not None and self.joints.loose
         return replace(self, silhouette=self.silhouette.with_fingers(sideways=loose))
 
-    def take(self, index: Int[ndarray, "n"]) -> _SeenHand:
-        return _SeenHand(self.silhouette.take(index), self.joints and self.joints.take(index))
+    def take(self, index: Int[ndarray, "n"]) -> _HandEvidence:
+        return _HandEvidence(self.silhouette.take(index), self.joints and self.joints.take(index))
 
     def __call__(
         self, x: Float[ndarray, "N P"]
     ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
-        """Differing pixels of each frame, and what its joints cost in pixels; with derivatives."""
+        """Sum each frame's differing pixels and its joints' cost in pixels; with derivatives."""
         found = self.silhouette(x)
         if self.joints is None:
             return found
@@ -347,7 +327,7 @@ class _SeenHand:
 
 @dataclass(frozen=True)
 class _FittedHandErrors:
-    """Errors that were found, the silhouette that they move, and what was assumed of them."""
+    """Fitted errors, the silhouette that they move, and the kind of hand and joints that they were fitted by."""
 
     found: HandFit
     silhouette: HandSilhouette
@@ -357,11 +337,8 @@ class _FittedHandErrors:
     @staticmethod
     def to(silhouette: HandSilhouette, joints: SeenJoints | None, kind: HandsKind) -> _FittedHandErrors:
         """Minimise the cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
-        seen, assumed, (rigid, few, all_frames) = (
-            _SeenHand(silhouette, joints),
-            assumed_errors(kind, joints),
-            REFINEMENT_ITERATIONS,
-        )
+        seen, assumed = _HandEvidence(silhouette, joints), assumed_errors(kind, joints)
+        rigid, few, all_frames = REFINEMENT_ITERATIONS
         unrefined = np.zeros((len(silhouette.errors.tracked.T_cam_hand), N_RIGID_ERRORS))
         found = least_squares.minimise(HandFit.of(seen, assumed, unrefined), rigid).state
         seen = seen.with_fingers
@@ -376,5 +353,5 @@ class _FittedHandErrors:
 
     @cached_property
     def after(self) -> float:
-        """Share of the hand's pixels that still differ; NaN where none is seen."""
+        """Fraction of the hand's visible pixels that still differ; NaN without any."""
         return self.silhouette.share(self.found.errors)

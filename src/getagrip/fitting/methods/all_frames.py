@@ -1,6 +1,7 @@
-"""All frames fitted at once, the object moving in the hand as a motion model allows.
+"""Methods that fit all frames together by a motion model of the object in the hand.
 
-The authors' later in-hand model: Dynamic, but distances between hand and object are asked to stay the same.
+``soft_hinge`` and ``one_dof`` are ours, after the paper's 1-DoF (Eq. 3); ``static`` and ``dynamic`` are the paper's
+baselines; ``fit_contact_consistency`` is the authors' later in-hand model.
 """
 
 from __future__ import annotations
@@ -37,21 +38,22 @@ M = TypeVar("M", bound=Motion)
 COARSE_RIDGE = (2e5 / 4, 1.2e3 / 4)
 """Stiffness of a soft hinge's deviations in the coarse stages, where it has no axis yet [px^2 per m^2, per rad^2]."""
 SOFT_RIDGE = (1.5e6, 1e4)
-"""Stiffness of a soft hinge's deviations in the fine stages, likewise; more where a mesh that is not the object's own
-stays as it is."""
-SOFT_HINGE_CONSISTENCY_WEIGHT = 0.5
-"""Weight of the soft hinge's own term (``objective.consistency_of``), in lambda_3."""
+"""Stiffness of a soft hinge's deviations in the fine stages, in the same units; more for a template mesh that is not
+fitted."""
+SOFT_HINGE_CONSISTENCY_WEIGHT, CONTACT_CONSISTENCY_WEIGHT = 0.5, 0.1
+"""Weights of contact consistency (``objective.distance_consistency_energy``): the soft hinge's, in lambda_3, and the
+weight in the method ``contact-consistency``, 1 in the authors' code."""
 MISFIT_LEVEL_PX, MISFIT_ITERATIONS = 128, 4
-"""Resolution [px] and iterations of the fit that tells how badly the mesh explains the masks."""
+"""Resolution [px] and iterations of the fit that measures the misfit."""
 CONTACT_ONLY_FACTOR = 4.0
-"""Push and pull count so much more where no other term ties the object to the hand."""
+"""Factor on push and pull where no other term couples the object to the hand."""
 
 
 def soft_hinge(problem: Problem, on_stage: OnStage, more: EnergyOf | None = None) -> MethodResult:
     """Fit a hinge, and a small deviation from it in each frame.
 
-    ``more`` gives terms of one's own for a problem. They count in all stages and in all frames, so it is called again
-    for problems in the frames that were not sampled.
+    ``more`` returns a user's own terms for a problem. They count in all stages and in all frames, so ``more`` is also
+    called for problems in frames that were not sampled.
     """
 
     def own(problem: Problem) -> Energy:
@@ -76,34 +78,25 @@ def soft_hinge(problem: Problem, on_stage: OnStage, more: EnergyOf | None = None
 
 
 def soft_hinges(problem: Problem, on_stage: OnStage, more: Energy = NO_TERMS) -> Solution[Soft[Hinge]]:
-    """Search for soft hinges; return the distinct ones, best first, with the mesh as it is."""
+    """Search for soft hinges without fitting the mesh; return distinct solutions, best first."""
     search = search_of(problem, on_stage)
     rough = coarse_fit(problem, search, more)
-    return fine_fit(problem, search, rough, stiffen_ridge(SOFT_RIDGE, misfit_of(problem, search, rough.motion)), more)
+    ridge = stiffen_ridge(SOFT_RIDGE, misfit_of(problem, search, rough.motion))
+    energy = add_contact_consistency(problem, sum_energies(coarse_energy(problem), more))
+    return search.fine(soft_hinge_of(problem, search, rough, ridge), energy)
 
 
 def coarse_fit(problem: Problem, search: Search, more: Energy) -> Solution[Soft[Fixed]]:
-    """Run the coarse stages without an axis.
-
-    If hypotheses are constrained to one too early, right poses whose motion is not quite a hinge lose.
-    """
+    """Run the coarse stages without an axis: constrained to one too early, right poses off a hinge would lose."""
     energy = sum_energies(coarse_energy(problem), more)
     relaxed = search.relax(make_initial_poses(problem), energy)
     return search.coarse(replace(relaxed, ridge=COARSE_RIDGE), energy)
 
 
-def fine_fit(
-    problem: Problem, search: Search, rough: Solution[Soft[Fixed]], ridge: tuple[float, float], more: Energy
-) -> Solution[Soft[Hinge]]:
-    """Run the fine stages, with deviations as stiff as ``ridge``."""
-    energy = sum_energies(coarse_energy(problem), more)
-    return search.fine(soft_hinge_of(problem, search, rough, ridge), add_contact_consistency(problem, energy))
-
-
 def fine_fit_with_hand(
     problem: Problem, search: Search, motion: M, energy: EnergyOf
 ) -> tuple[Solution[M], SolvedHand | None]:
-    """Run the fine stages; before the last, a refined hand is solved together with the object."""
+    """Run the fine stages; before the last one, solve a refined hand together with the object."""
     if problem.refinement is None:
         return search.fine(motion, energy(problem)), None
     before = search.fine(motion, energy(problem), slice(-1)).motion
@@ -115,17 +108,14 @@ def fine_fit_with_hand(
 def soft_hinge_of(
     problem: Problem, search: Search, rough: Solution[Soft[Fixed]], ridge: tuple[float, float]
 ) -> Soft[Hinge]:
-    """Return the soft hinges nearest to what the coarse stages found, at all frames."""
+    """Return the soft hinges nearest to the coarse stages' solutions, at all frames."""
     motion = search.at_all_frames(rough.motion)
     ridge = (problem.trust.firmness * ridge[0], problem.trust.firmness * ridge[1])
     return Soft.around(hinge_of(problem, motion), motion.poses(), ridge)
 
 
 def misfit_of(problem: Problem, search: Search, rough: Soft[Fixed]) -> float:
-    """Measure how badly the mesh explains the masks at its best.
-
-    The fit is long enough, and without contact, so that nothing else adds to it.
-    """
+    """Measure the misfit of the best hypothesis, after a fit to the masks without contact."""
     frames = search.coarse_frames
     terms, T_cam_hand = mask_energy(problem)(MISFIT_LEVEL_PX, frames), problem.clip.hand.T_cam_hand[frames]
     fitted = minimise(rough, terms, T_cam_hand, MISFIT_ITERATIONS, threads=problem.threads)
@@ -133,7 +123,7 @@ def misfit_of(problem: Problem, search: Search, rough: Soft[Fixed]) -> float:
 
 
 def fit_mesh_shape(problem: Problem, search: Search, rough: Soft[Fixed]) -> Warp | None:
-    """Fit the mesh to the masks after the coarse stages; None where the mesh explains them."""
+    """Fit the mesh to the masks after the coarse stages; None where the input mesh explains them."""
     return fit_shape(problem, rough, search.coarse_frames, misfit_of(problem, search, rough))
 
 
@@ -143,12 +133,10 @@ def soft_energy(problem: Problem) -> Energy:
 
 
 def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """Fit a hinge (Eq. 3): ours, after the paper.
+    """Fit a hinge (Eq. 3): ours, after the paper, whose own method is ``methods.paper``.
 
-    ``methods.paper`` is the paper's method itself.
-
-    The mesh is fitted by the same step as the soft hinge's, so that the two differ in the motion alone; but that takes
-    its coarse stages, so it is left out where frames that deviate a little from the hinge explain the masks already.
+    The mesh is fitted by the same step as the soft hinge's, so that the two differ in the motion alone. The step needs
+    the soft hinge's coarse stages, so it is left out where small deviations from the hinge explain the masks already.
     """
     search, warp = search_of(problem, on_stage), None
     rough = coarse_hinge(problem, search)
@@ -178,7 +166,7 @@ def static(problem: Problem, on_stage: OnStage) -> MethodResult:
 
 
 def dynamic(problem: Problem, on_stage: OnStage, energy_of: EnergyOf | None = None) -> MethodResult:
-    """Fit a pose per frame (paper, Sec. 5.2), by another energy if given."""
+    """Fit a pose per frame (paper, Sec. 5.2), by ``energy_of``, or else by push, pull and all evidence."""
     energy_of = energy_of or contact_only_energy
     search, energy = search_of(problem, on_stage), energy_of(problem)
     relaxed = search.relax(make_initial_poses(problem), energy)
@@ -188,12 +176,12 @@ def dynamic(problem: Problem, on_stage: OnStage, energy_of: EnergyOf | None = No
 
 
 def contact_only_energy(problem: Problem) -> Energy:
-    """Return Eq. 5 where no other term links the object to the hand."""
+    """Return Eq. 5 where no other term couples the object to the hand."""
     return total_energy(problem, CONTACT_ONLY_FACTOR)
 
 
 def total_energy(problem: Problem, contact: float) -> Energy:
-    """Return Eq. 5, with a multiple of the push and pull that the options name."""
+    """Return Eq. 5, with ``contact`` times the options' push and pull, and the terms on lifted or unmeasured inputs."""
     contact *= problem.trust.contact
     contacts = energy_of(problem, contact * problem.options.push, contact * problem.options.pull)
     return sum_energies(contacts, depth_order_energy(problem), category_energy(problem.clip))
@@ -205,44 +193,41 @@ def coarse_energy(problem: Problem) -> Energy:
 
 
 def add_contact_consistency(problem: Problem, energy: Energy) -> Energy:
-    """Add contact that stays to an energy: the soft hinge's energy at all frames.
+    """Add contact consistency to an energy, for the soft hinge at all frames.
 
-    Contact that stays is what makes a grasp stable (Eq. 2). A hinge keeps it by itself; where frames may deviate from
-    the hinge, in depth above all, which silhouettes hardly show, a term keeps it.
+    Constant contacts make a grasp stable (Eq. 2). A hinge keeps contacts by itself; where frames may deviate from the
+    hinge, above all in depth, which silhouettes hardly show, a term keeps them.
     """
     pull = problem.trust.contact * problem.trust.firmness * problem.options.pull
-    return (
-        sum_energies(energy, distance_consistency_energy(problem, SOFT_HINGE_CONSISTENCY_WEIGHT * pull))
-        if pull
-        else energy
-    )
+    if not pull:
+        return energy
+    return sum_energies(energy, distance_consistency_energy(problem, SOFT_HINGE_CONSISTENCY_WEIGHT * pull))
 
 
 def search_of(problem: Problem, on_stage: OnStage) -> Search:
-    """Make the search on a clip, as long as the options say; longer beside a lifted hand, which tells little."""
+    """Make the search on a clip: thorough if the options say so, or for a lifted hand, which is inaccurate."""
     schedule = THOROUGH_SCHEDULE if problem.options.thorough or problem.trust.hand_lifted else DEFAULT_SCHEDULE
     opposite = handle_half_turns(problem.clip, problem.surface)
     return Search(problem.clip.hand.T_cam_hand, problem.surface, schedule, on_stage, problem.threads, opposite)
 
 
 def make_initial_poses(problem: Problem) -> Fixed:
-    """Return the initial poses, at all frames."""
+    """Make the initial poses, at all frames."""
     usual = category_rotations(problem.clip) if problem.options.init == "uniform" else None
     return initial_poses(problem.clip, problem.masks, problem.inits, problem.options.seed, problem.prior_poses, usual)
 
 
 def hinge_of(problem: Problem, relaxed: Soft[Fixed]) -> Hinge:
-    """Return the hinge nearest to a relaxed fit, its axis where the options allow it."""
-    anywhere = problem.options.axis == "free"
-    return Hinge.nearest(relaxed.core, relaxed.deviation, free_location=anywhere, anchor=np.zeros(3))
+    """Return the hinge nearest to a relaxed fit, its axis located as the options allow."""
+    return Hinge.nearest(relaxed.core, relaxed.deviation, problem.options.axis == "free", anchor=np.zeros(3))
 
 
 def make_method_result(
     found: Solution[M], hinge: Hinge | None = None, energy_of: EnergyOf | None = None
 ) -> MethodResult:
-    """Return the solutions, and the axis of the best: that of ``hinge``, which is the motion or its core.
+    """Make a result of solutions, with the axis of the best, from ``hinge``: the motion or its core.
 
-    ``energy_of`` is the energy by which the motion can be fitted in other frames; None: it cannot be.
+    ``energy_of`` is the energy by which the motion is fitted in other frames; None: poses are interpolated.
     """
     motion: Motion = found.motion
     axis = None
@@ -255,17 +240,14 @@ def make_method_result(
     return MethodResult(found.motion.poses(), found.energy, terms, found.status[0], axis, own, energy_of)
 
 
-CONTACT_CONSISTENCY_WEIGHT = 0.1
-"""Weight of the term (``objective.consistency_of``): theirs is 1."""
-
-
 def fit_contact_consistency(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """Fit ``dynamic`` with one more term, in all stages. Raises ``GetagripError`` when nothing can be rendered."""
-    return dynamic(problem, on_stage, total_energy_with_consistency)
+    """Fit a pose per frame, with contact consistency in all stages: the authors' later in-hand model.
 
+    Raises ``GetagripError`` when no pose can be rendered.
+    """
 
-def total_energy_with_consistency(problem: Problem) -> Energy:
-    """Return Eq. 5 and the term."""
-    return sum_energies(
-        total_energy(problem, contact=1.0), distance_consistency_energy(problem, CONTACT_CONSISTENCY_WEIGHT)
-    )
+    def energy(problem: Problem) -> Energy:
+        consistency = distance_consistency_energy(problem, CONTACT_CONSISTENCY_WEIGHT)
+        return sum_energies(total_energy(problem, contact=1.0), consistency)
+
+    return dynamic(problem, on_stage, energy)

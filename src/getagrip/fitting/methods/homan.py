@@ -1,14 +1,13 @@
 """HOMan (Hasson et al., "Towards Unconstrained Joint Hand-Object Reconstruction From RGB Videos", 3DV 2021).
 
-In stages: the object alone, from its masks, in the first frame from many rotations, in each later frame from where the
-frame before ended; the best tracks; then objects and hands together, with smoothness, interaction and contact
-(``homan_refine``). What differs from the published code, and why, stands in docs/method.md.
+The stages: the object alone, from its masks, in the first frame from many rotations, in each later frame from the
+previous frame's pose; the best tracks; then objects and hands together, with smoothness, interaction and contact.
+docs/method.md lists the departures from the published code.
 
-The joint stage of HOMan: object and hand of every frame, each a rigid body in the camera frame, moved together.
-
-Three rigid relations carry all terms: the object as the camera sees it (mask, smoothness), the hand as the camera sees
-it (smoothness, reprojection), and the object as the hand sees it (push, pull, interaction). Each term answers with
-derivatives by its body's local 7-vector, as for any other method; here they are taken to the 12 numbers of a frame.
+In the joint stage object and hand of every frame are rigid bodies in the camera frame that move together. Three rigid
+relations carry all terms: the object in the camera (mask, smoothness), the hand in the camera (smoothness,
+reprojection), and the object in the hand (push, pull, interaction). Each term has derivatives by its body's local
+7-vector, as for any other method, which are transformed to the 12 numbers of a frame.
 """
 
 from __future__ import annotations
@@ -37,8 +36,16 @@ from getagrip.geometry import camera, se3
 from getagrip.least_squares import BlockArrow
 from getagrip.result import Status
 
+HOMAN_LEVEL_PX = 64
+"""Resolution of the object's fit alone [px]."""
+FIRST_FRAME_ITERATIONS, LATER_FRAME_ITERATIONS = 24, 12
+"""Iterations of the object's fit alone: in the first frame, in each later one."""
+N_REFINED_TRACKS = 4
+"""Number of tracks that are refined; the published code refines the best one."""
+N_BOX_POINTS = 64
+"""Number of vertices by which the object is placed in a box."""
 HOMAN_REFINE_STAGES = ((128, 15), (256, 15))
-"""Resolution [px] and iterations of each stage."""
+"""Resolution [px] and iterations of each step of the joint stage."""
 SMOOTHNESS_WEIGHT = 3e5
 """Weight of the smoothness of either body [px^2 / m^2]."""
 REPROJECTION_WEIGHT = 50.0
@@ -46,7 +53,7 @@ REPROJECTION_WEIGHT = 50.0
 INTERACTION_WEIGHT = 1e3
 """Weight of the squared distance between the centres [px^2 / m^2]."""
 N_REPROJECTED_VERTICES = 30
-"""Vertices of the hand that are reprojected."""
+"""Number of the hand's vertices that are reprojected."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +74,7 @@ class RigidBodies:
 
     @property
     def T_cam_hand(self) -> Float[ndarray, "N 4 4"]:
-        """The hand, refined."""
+        """Poses of the refined hand."""
         return se3.rigid(self.hand_R, self.hand_centre - (self.hand_R @ self.grip[..., None])[..., 0])
 
     def in_camera(self) -> PosesInCamera:
@@ -93,7 +100,7 @@ class RigidBodies:
 
 @dataclass(frozen=True)
 class RefinedTrack:
-    """A refined track."""
+    """A track of object and hand after the joint stage, with its energy [px^2] in all and per term."""
 
     bodies: RigidBodies
     energy: float
@@ -103,10 +110,7 @@ class RefinedTrack:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """The normal equations of all frames.
-
-    Each frame has 13 numbers: object's step, hand's step, log scale (which all frames share).
-    """
+    """The normal equations of all frames, by 13 numbers each: object's step, hand's step, the shared log scale."""
 
     g: Float[ndarray, "N 13"]
     H: Float[ndarray, "N 13 13"]
@@ -124,16 +128,16 @@ class NormalEquations:
 
 @dataclass(frozen=True)
 class JointEnergy:
-    """The terms on each of the three relations."""
+    """The terms on each of the three rigid relations."""
 
     object_in_camera: list[Term]
     hand_in_camera: list[Term]
     object_in_hand: list[Term]
     T_cam_hand: Float[ndarray, "N 4 4"]
-    """The hand as given; the terms of ``object_in_hand`` were made for it."""
+    """Poses of the input hand, which the terms of ``object_in_hand`` are made for."""
 
     def __call__(self, bodies: RigidBodies) -> tuple[dict[str, float], NormalEquations]:
-        """Energy per term, and its derivatives by the 13 numbers of each frame."""
+        """Compute the energy per term, and its derivatives by the 13 numbers of each frame."""
         N = len(bodies.R)
         eye, scale = np.eye(6), np.array([bodies.scale])
         back = self.T_cam_hand @ se3.inverse(bodies.T_cam_hand)
@@ -171,32 +175,23 @@ def refine_track(problem: Problem, track: Free, contact: EnergyOf) -> RefinedTra
     """Refine object and hand, from one track of the object and the input hand, by Levenberg-Marquardt."""
     bodies = make_rigid_bodies(problem, track)
     for level, iterations in HOMAN_REFINE_STAGES:
-        refined = refine_by_levenberg_marquardt(
-            joint_energy(problem, level, bodies, contact), bodies, iterations, track.free_scale
-        )
+        energy = joint_energy(problem, level, bodies, contact)
+        refined = refine_by_levenberg_marquardt(energy, bodies, iterations, track.free_scale)
         bodies = refined.bodies
     return refined
 
 
 def make_rigid_bodies(problem: Problem, track: Free) -> RigidBodies:
-    """Return object and hand as a track of the object and the input hand place them."""
-    tracked = problem.clip.hand
-    grip = tracked.vertices.mean(axis=1)
-    return RigidBodies(
-        R=track.R[0],
-        centre=track.centre[0],
-        log_scale=float(track.log_scale[0]),
-        hand_R=tracked.T_cam_hand[:, :3, :3],
-        hand_centre=se3.transform(tracked.T_cam_hand, grip[:, None])[:, 0],
-        grip=grip,
-    )
+    """Make object and hand from a track of the object and the input hand."""
+    T_cam_hand, grip = problem.clip.hand.T_cam_hand, problem.clip.hand.vertices.mean(axis=1)
+    hand_centre = se3.transform(T_cam_hand, grip[:, None])[:, 0]
+    return RigidBodies(track.R[0], track.centre[0], float(track.log_scale[0]), T_cam_hand[:, :3, :3], hand_centre, grip)
 
 
 def joint_energy(problem: Problem, level: int, bodies: RigidBodies, contact: EnergyOf) -> JointEnergy:
     """Build the terms at one resolution."""
     clip, K = problem.clip, problem.observation.K
     everywhere = np.arange(len(clip))
-    mask = mask_energy(problem)(level, everywhere)
     about_grip = clip.hand.vertices - bodies.grip[:, None]
     points = about_grip[:, farthest_point_sampling(about_grip[0], N_REPROJECTED_VERTICES)]
     tracked = clip.hand.T_cam_hand
@@ -204,19 +199,12 @@ def joint_energy(problem: Problem, level: int, bodies: RigidBodies, contact: Ene
     crop = np.zeros((len(K), 3, 3))
     crop[:, [0, 1, 0, 1, 2], [0, 1, 2, 2, 2]] = np.concatenate([K, np.ones((len(K), 1))], axis=1)
     target = camera.project(crop, points @ np.swapaxes(tracked[:, :3, :3], 1, 2) + grip)
+    smooth = SmoothnessTerm(vertex_moments(clip.mesh.vertices - clip.mesh.centre), SMOOTHNESS_WEIGHT)
+    hand_smooth = SmoothnessTerm(vertex_moments(about_grip.mean(axis=0)), SMOOTHNESS_WEIGHT, name="hand_smoothness")
     return JointEnergy(
-        object_in_camera=[
-            *mask,
-            SmoothnessTerm(vertex_moments(clip.mesh.vertices - clip.mesh.centre), SMOOTHNESS_WEIGHT),
-        ],
-        hand_in_camera=[
-            SmoothnessTerm(vertex_moments(about_grip.mean(axis=0)), SMOOTHNESS_WEIGHT, name="hand_smoothness"),
-            ReprojectionTerm(points, K, target, REPROJECTION_WEIGHT),
-        ],
-        object_in_hand=[
-            *contact(problem)(level, everywhere),
-            InteractionTerm(grip[:, 0], INTERACTION_WEIGHT),
-        ],
+        object_in_camera=[*mask_energy(problem)(level, everywhere), smooth],
+        hand_in_camera=[hand_smooth, ReprojectionTerm(points, K, target, REPROJECTION_WEIGHT)],
+        object_in_hand=[*contact(problem)(level, everywhere), InteractionTerm(grip[:, 0], INTERACTION_WEIGHT)],
         T_cam_hand=tracked,
     )
 
@@ -240,9 +228,8 @@ class _TrackState:
         return np.array([sum(self.values.values())])
 
     def trial(self, active: Int[ndarray, "1"], damping: Float[ndarray, "1"]) -> _TrackState:
-        return _TrackState.of(
-            self.energy, self.bodies.retract(*self.equations.step(damping, self.free_scale)), self.free_scale
-        )
+        bodies = self.bodies.retract(*self.equations.step(damping, self.free_scale))
+        return _TrackState.of(self.energy, bodies, self.free_scale)
 
     def accept(self, trial: _TrackState, active: Int[ndarray, "1"], better: Bool[ndarray, "1"]) -> _TrackState:
         return trial if better[0] else self
@@ -251,7 +238,7 @@ class _TrackState:
 def refine_by_levenberg_marquardt(
     energy: JointEnergy, bodies: RigidBodies, iterations: int, free_scale: bool
 ) -> RefinedTrack:
-    """Run Levenberg-Marquardt on all numbers of a track at once, by the rules of ``solve.minimise``."""
+    """Refine all numbers of a track at once by Levenberg-Marquardt, with the rules of ``solve.minimise``."""
     found = least_squares.minimise(_TrackState.of(energy, bodies, free_scale), iterations)
     values = found.state.values
     return RefinedTrack(found.state.bodies, sum(values.values()), values, STATUS_OF_ENDING[found.endings[0]])
@@ -260,7 +247,7 @@ def refine_by_levenberg_marquardt(
 def refine_by_adam(
     energy: JointEnergy, bodies: RigidBodies, iterations: int, rate: float, free_scale: bool
 ) -> RefinedTrack:
-    """Run Adam on all numbers of a track at once; the best iterate counts."""
+    """Refine all numbers of a track at once by Adam; the best iterate counts."""
     N = len(bodies.R)
     lengths = np.tile(np.arange(12) % 6 < 3, N)
     steps = Adam(np.append(np.where(lengths, METRES_PER_RADIAN, 1.0), 1.0), iterations, rate)
@@ -274,22 +261,12 @@ def refine_by_adam(
     return best
 
 
-HOMAN_LEVEL_PX = 64
-"""Resolution of the object's fit alone [px]."""
-FIRST_FRAME_ITERATIONS, LATER_FRAME_ITERATIONS = 24, 12
-"""Iterations of it: in the first frame, in each later one."""
-N_REFINED_TRACKS = 4
-"""Tracks that are refined; the published code takes the best one."""
-N_BOX_POINTS = 64
-"""Vertices that stand for the object where it is placed in a box."""
-
-
 @dataclass(frozen=True)
 class HomanSolver:
     """The energy and the optimiser of the stages."""
 
     contact: EnergyOf
-    """Push and pull."""
+    """Returns push and pull."""
     alone: Callable[[Problem, Fixed, int], Solution[Fixed]]
     """Fits the object to its mask in one frame, in the camera frame."""
     together: Callable[[Problem, Free, EnergyOf], RefinedTrack]
@@ -299,14 +276,14 @@ class HomanSolver:
 
 
 def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """Fit by our energy and optimiser. Raises ``GetagripError`` when nothing can be rendered."""
+    """Fit by our energy and optimiser. Raises ``GetagripError`` when no pose can be rendered."""
     return fit_by_solver(OUR_HOMAN_SOLVER, problem, on_stage)
 
 
 def fit_by_solver(way: HomanSolver, problem: Problem, on_stage: OnStage) -> MethodResult:
     """Fit the object alone, and refine the best tracks together with the hand.
 
-    Raises ``GetagripError`` when nothing can be rendered.
+    Raises ``GetagripError`` when no pose can be rendered.
     """
     tracks, loss = object_tracks(problem, way)
     chosen = suppress_duplicates(tracks.poses(), loss, problem.surface, N_REFINED_TRACKS)
@@ -343,10 +320,7 @@ OUR_HOMAN_SOLVER = HomanSolver(
 
 
 def object_tracks(problem: Problem, way: HomanSolver = OUR_HOMAN_SOLVER) -> tuple[Free, Float[ndarray, "B"]]:
-    """Track the object in the camera frame from each starting rotation, by E_mask alone.
-
-    The second value is the mean of E_mask / area.
-    """
+    """Track the object in the camera frame from each initial rotation, by E_mask alone; also return E_mask / area."""
     clip, area = problem.clip, problem.observation.area
     initial = initial_poses(clip, problem.masks, problem.inits, problem.options.seed, problem.prior_poses)
     vertices = clip.mesh.vertices - clip.mesh.centre
@@ -372,10 +346,10 @@ def place_in_box(
     box: Float[ndarray, "4"],
     steps: int = 10,
 ) -> Float[ndarray, "B 3"]:
-    """Place rotated points [m] so that the box around them has the centre and diagonal of a given box.
+    """Place rotated points [m] so that the box around them has the centre and diagonal of another box.
 
-    A fixed point, as in the published code: depth times the ratio of diagonals, then along the ray through the box's
-    centre by what is left.
+    By fixed point, as in the published code: depth times the ratio of diagonals, then the remaining shift along the ray
+    through the box's centre.
     """
     placed = points @ np.swapaxes(R, -1, -2)
     middle, diagonal = (box[:2] + box[2:]) / 2.0, np.linalg.norm(box[2:] - box[:2])

@@ -1,4 +1,4 @@
-"""Single Frame (paper, Sec. 5.2): every frame on its own, without any temporal knowledge."""
+"""Single Frame (paper, Sec. 5.2): every frame is fitted independently."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ SINGLE_FRAME_SCHEDULE = Schedule(
         Stage("finest", level=256, frames=1, iterations=16, keep=1),
     ),
 )
-"""For one frame: no motion to find, so no relaxed fit."""
+"""Search in one frame, which has no motion, and so no relaxed fit."""
 REFIT_LEVEL, REFIT_ITERATIONS = 256, 15
-"""At one scale, where it is free."""
+"""Resolution [px] and iterations of the second fit where the scale is free."""
 STATUS_PRECEDENCE = (Status.LIMIT, Status.STUCK, Status.CONVERGED, Status.FINISHED)
-"""The status of the frames is the first of these that one of them has."""
+"""Order of statuses; a result has the first status that one of its frames has."""
 
 OfFrame = Callable[[Problem, int, Energy], Solution[Fixed]]
 """From a problem, a frame and an energy to the solutions of that frame, best first."""
@@ -46,22 +46,18 @@ Again = Callable[[Problem, int, Energy, Fixed], Solution[Fixed]]
 def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
     """Fit the best pose of each frame by our energy and search.
 
-    Raises ``GetagripError`` when nothing can be rendered in some frame.
+    Raises ``GetagripError`` when no pose can be rendered in some frame.
     """
-    options = problem.options
-    return fit_each_frame(
-        problem, on_stage, energy_of(problem, options.push, options.pull), _best_of_frame, _refit_frame
-    )
+    energy = energy_of(problem, problem.options.push, problem.options.pull)
+    return fit_each_frame(problem, on_stage, energy, _best_of_frame, _refit_frame)
 
 
 def fit_each_frame(
     problem: Problem, on_stage: OnStage, energy: Energy, best_of_frame: OfFrame, again: Again
 ) -> MethodResult:
-    """Fit the best pose of each frame.
+    """Fit the best pose of each frame; a free scale per frame first, then at the median of all frames' scales.
 
-    A free scale is each frame's own first; then all are fitted again at the median.
-
-    Raises ``GetagripError`` when nothing can be rendered in some frame.
+    Raises ``GetagripError`` when no pose can be rendered in some frame.
     """
     best = []
     for n, frame in enumerate(problem.clip.frames):
@@ -92,8 +88,6 @@ def initial_of_frame(problem: Problem, n: int) -> Fixed:
 
 
 def _best_of_frame(problem: Problem, n: int, energy: Energy) -> Solution[Fixed]:
-    """Find the best pose of one frame."""
-
     def of_frame(level: int, _: Int[ndarray, "1"]) -> Sequence[Term]:
         return energy(level, np.array([n]))
 
@@ -104,7 +98,6 @@ def _best_of_frame(problem: Problem, n: int, energy: Energy) -> Solution[Fixed]:
 
 
 def _refit_frame(problem: Problem, n: int, energy: Energy, start: Fixed) -> Solution[Fixed]:
-    """Fit one frame from one start."""
     T = problem.clip.hand.T_cam_hand[n : n + 1]
     return minimise(start, energy(REFIT_LEVEL, np.array([n])), T, REFIT_ITERATIONS)
 
@@ -112,9 +105,9 @@ def _refit_frame(problem: Problem, n: int, energy: Energy, start: Fixed) -> Solu
 def _refit_at_median_scale(
     problem: Problem, best: list[Solution[Fixed]], energy: Energy, again: Again
 ) -> list[Solution[Fixed]]:
-    """Fit the frames again from equally large images at the median of their scales.
+    """Fit the frames again at the median of their scales, from poses of the same size in the image.
 
-    Raises ``GetagripError`` where one cannot be rendered there.
+    Raises ``GetagripError`` where a frame cannot be rendered at this scale.
     """
     poses_by_frame = [found.motion.poses() for found in best]
     scale = float(np.median([h.scale[0] for h in poses_by_frame]))

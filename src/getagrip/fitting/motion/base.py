@@ -20,7 +20,7 @@ from getagrip.geometry import se3
 
 @dataclass(frozen=True)
 class Batch:
-    """Hypotheses side by side: every array field, here and in models within, has the same leading axis."""
+    """Hypotheses side by side: all array fields, including those of models within, have the same leading axis."""
 
     def take(self, index: ndarray) -> Self:
         return self._each(lambda v: v[index])
@@ -59,7 +59,7 @@ class PosesInHand(Batch):
 
 
 class HandFrame(Protocol):
-    """The properties of a hand that all hypotheses share."""
+    """Properties of a hand that all hypotheses share."""
 
     @property
     def middle(self) -> Float[ndarray, "3"]:
@@ -69,9 +69,9 @@ class HandFrame(Protocol):
 
 @dataclass(frozen=True)
 class HandPoses(Batch):
-    """The moved hand in the frame of the hand as given: ``X_given = R @ (scale * (X_hand - middle)) + centre``.
+    """The moved hand in the input hand's frame: ``X_input = R @ (scale * (X_hand - middle)) + centre``.
 
-    ``grasped``: the object's poses if the input hand gripped it as the moved hand does.
+    ``grasped``: the object's poses if the input hand grasped it as the moved hand does.
     """
 
     R: Float[ndarray, "B N 3 3"]
@@ -88,7 +88,7 @@ def hand_object_transforms(poses: PosesInHand, centre: Float[ndarray, "3"]) -> F
 
 
 def transform_poses(poses: PosesInHand, T: Float[ndarray, "N 4 4"]) -> PosesInHand:
-    """Transform poses to another frame, given the hand's pose in it; the inverse leads back."""
+    """Transform poses to another frame by the hand's poses T in it; the inverse leads back."""
     R, t, hand = T[:, :3, :3], T[:, :3, 3], poses.hand
     if hand is not None:
         centre = (R @ hand.centre[..., None])[..., 0] + t
@@ -98,13 +98,13 @@ def transform_poses(poses: PosesInHand, T: Float[ndarray, "N 4 4"]) -> PosesInHa
 
 @dataclass(frozen=True)
 class Prior:
-    """A quadratic the model puts on its own parameters.
+    """A motion model's quadratic energy of its own parameters.
 
     Attributes:
         value: its value.
         g: gradient by the per-frame parameters.
         diagonal: Hessian by these, (L,) the same in all frames or (N, L).
-        g_shared, diagonal_shared: the same by the shared parameters; None: nothing is put on them.
+        g_shared, diagonal_shared: the same by the shared parameters; None: they have no prior.
         cross: Hessian between frames, zero within each; None: frames are independent.
     """
 
@@ -129,7 +129,7 @@ class Motion(Protocol):
     def jacobian(self) -> tuple[Float[ndarray, "B N P S"], Float[ndarray, "B N P L"]]:
         """Return derivatives of the local vectors, as seen in the hand frame, by shared and by per-frame parameters.
 
-        P is 7, or more where the hand moves (``energy.hand_term``).
+        P is 7, or 21 where the hand moves (``energy.term``).
         """
         ...
 
@@ -148,7 +148,7 @@ class Motion(Protocol):
         ...
 
     def where(self, mask: Bool[ndarray, "B"], other: Self) -> Self:
-        """Return this model's hypotheses where the mask is set, the other's elsewhere."""
+        """Choose this model's hypotheses where the mask is set, else the other's."""
         ...
 
     def take(self, index: ndarray) -> Self:
@@ -164,7 +164,7 @@ class Motion(Protocol):
         ...
 
     def with_free_scale(self) -> Self:
-        """Return the motion with its scale a parameter."""
+        """Return the motion with its scale as a parameter."""
         ...
 
     def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Self:

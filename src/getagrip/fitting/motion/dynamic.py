@@ -63,6 +63,6 @@ class Free(Batch):
 
 
 def interpolate_object_poses(poses: PosesInHand, old: Int[ndarray, "n"], new: Int[ndarray, "m"]) -> PosesInHand:
-    """Interpolate poses: rotations along the shortest path, centres on a line; beyond the ends, the last ones."""
+    """Interpolate poses: rotations along the shortest path, centres along a line; beyond the ends they stay."""
     free = Free(poses.R, poses.centre, np.log(poses.scale)).resampled(old, np.clip(new, old[0], old[-1]))
     return PosesInHand(free.R, free.centre, poses.scale)

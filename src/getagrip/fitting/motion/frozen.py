@@ -1,4 +1,4 @@
-"""Frozen: another motion whose shared parameters stay as they are; only those of each frame move."""
+"""Frozen: another motion whose shared parameters are fixed; only each frame's own are free."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Core = TypeVar("Core", bound=Motion)
 
 @dataclass(frozen=True)
 class Frozen(Batch, Generic[Core]):
-    """A motion of which only the per-frame parameters are to be found: S = 0, L as in ``core``."""
+    """A motion with free per-frame parameters only: S = 0, L as in ``core``."""
 
     core: Core
 

@@ -13,9 +13,8 @@ from getagrip.fitting.motion.static import Fixed
 from getagrip.geometry import se3
 
 ANGLE_RIDGE = 400.0
-"""Stiffness of a hinge's angles [px^2 per rad^2]: too weak to matter where a silhouette shows the angle, enough to keep
-a bottle from spinning about its own axis, which no silhouette shows.
-"""
+"""Stiffness of a hinge's angles [px^2 per rad^2]: negligible where a silhouette shows the angle, enough to keep a
+bottle from spinning about its own axis, which no silhouette shows."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +24,8 @@ class Hinge(Batch):
     The paper's equation shows only the line's direction; the authors' code has its location too, and the best
     axis seldom passes through the origin of the hand frame. ``free_location=False`` keeps the line where it is.
 
-    S = 6 + scale + 2 (direction) + 2 (location), L = 1. A common offset of the angles and the base pose do the same;
-    the solver's damping keeps them still and ``zero_mean`` settles it.
+    S = 6 + scale + 2 (direction) + 2 (location), L = 1. A common offset of the angles and a turn of the base pose are
+    equivalent; the solver's damping fixes the two, and ``zero_mean`` removes the offset.
 
     Attributes:
         R: (B, 3, 3) rotation of the base pose, object to hand.
@@ -57,8 +56,8 @@ class Hinge(Batch):
         """Fit the hinge nearest to a relaxed fit: principal direction of its rotation vectors, angles along it.
 
         ``deviation`` holds each frame's shift [m] and rotation vector [rad] from ``base`` (``Soft``). With
-        ``free_location`` the line passes where the shifts ask for, held near the object's centre by a ridge; otherwise
-        through ``anchor`` (hand frame, m).
+        ``free_location`` the line's location follows from the shifts, with a ridge towards the object's centre;
+        otherwise the line passes through ``anchor`` (hand frame, m).
         """
         v, w = deviation[..., :3], deviation[..., 3:]
         mean = w.mean(axis=1, keepdims=True)

@@ -28,11 +28,11 @@ class HandPrior:
     Attributes:
         middle: (3,) the point that the hand turns and grows about, in the hand frame [m].
         rays: (T, 3) unit vectors from the camera to the middle, in the hand frame, in all frames of a clip.
-        frames: (N,) the frames that the motion has (indices into ``rays``).
+        frames: (N,) the motion's frames (indices into ``rays``).
         constant: (8,) standard deviations of the constant errors; zero keeps one fixed.
-        own: (7,) those of each frame's own, without the size.
+        own: (7,) standard deviations of each frame's own errors, without the size.
         weight: twice the energy of one standard deviation [px^2].
-        memory: frames of the clip after which the correlation of own errors has fallen to 1/e; zero: independent.
+        memory: number of frames after which the correlation of own errors has fallen to 1/e; zero: independent.
     """
 
     middle: Float[ndarray, "3"]
@@ -45,11 +45,7 @@ class HandPrior:
 
     @staticmethod
     def of(
-        hand: HandTrack,
-        constant: Float[ndarray, "C"],
-        own: Float[ndarray, "D"],
-        weight: float,
-        memory: float = 0.0,
+        hand: HandTrack, constant: Float[ndarray, "C"], own: Float[ndarray, "D"], weight: float, memory: float = 0.0
     ) -> HandPrior:
         """Make the prior of a clip's hand, at all of its frames."""
         middle = hand.vertices.mean(axis=(0, 1))
@@ -62,10 +58,7 @@ class HandPrior:
         return replace(self, frames=frames)
 
     def widened(self, constant: Float[ndarray, "C"], own: Float[ndarray, "N D"], freedom: float) -> HandPrior:
-        """Widen it to errors of shift, turn and depth, each by what it takes to make it Student's t (EM).
-
-        ``freedom``: its degrees of freedom.
-        """
+        """Widen it to errors of shift, turn and depth, each to Student's t with ``freedom`` degrees of freedom (EM)."""
         wider = self.constant.copy(), self.own.copy()
         for deviation, errors in zip(wider, (constant[None], own), strict=True):
             for part in (SHIFT_SLICE, TURN_SLICE, slice(RAY_SHIFT_INDEX, RAY_SHIFT_INDEX + 1)):
@@ -96,15 +89,15 @@ class HandPrior:
 class MovingHand(Batch, Generic[Core]):
     """A motion in the hand, and errors x_n of the hand: ``T_hand = shift(d_n r_n) . turn_and_shift(w_n, s_n)``.
 
-    Poses are relative to the input hand, as everywhere, with the moved hand's poses beside them; with the input
-    ``T_cam_hand`` they give both in the camera. ``core`` is the motion in the moved hand. S grows by the constant
-    errors that are not fixed, L by the frames' own: x_n = constant + own_n.
+    Poses are relative to the input hand, as in all motions, with the moved hand's poses beside them; with the input
+    ``T_cam_hand`` they give both in the camera. ``core`` is the motion in the moved hand. S grows by the free constant
+    errors, L by the frames' own: x_n = constant + own_n.
 
     Attributes:
         core: the motion in the moved hand.
         constant: (B, 8) errors that all frames share, the logarithm of the size last.
-        own: (B, N, 7) each frame's own.
-        assumed: their prior.
+        own: (B, N, 7) each frame's own errors.
+        assumed: the errors' prior.
     """
 
     core: Core
@@ -147,14 +140,13 @@ class MovingHand(Batch, Generic[Core]):
         J = np.zeros((B, N, 21, 7))
         J[..., 7:10, SHIFT_SLICE], J[..., 7:10, RAY_SHIFT_INDEX] = np.eye(3), self.assumed.rays[self.assumed.frames]
         J[..., 10:13, TURN_SLICE] = se3.left_jacobian((self.constant[:, None, :-1] + self.own)[..., TURN_SLICE])
-        # An object that is still in the hand goes with it.
+        # An object at rest in the hand moves with the hand.
         J[..., :3, :] = J[..., 7:10, :] - se3.hat(object_.centre - hand.centre) @ J[..., 10:13, :]
         J[..., 3:6, :] = J[..., 10:13, :]
         constant, own = self._free()
+        of_constant = np.concatenate([J, size], axis=-1)[..., constant]
         return (
-            np.concatenate(
-                [_object_motion_jacobian(hand, shared), np.concatenate([J, size], axis=-1)[..., constant]], axis=-1
-            ),
+            np.concatenate([_object_motion_jacobian(hand, shared), of_constant], axis=-1),
             np.concatenate([_object_motion_jacobian(hand, local), J[..., own]], axis=-1),
         )
 
@@ -206,12 +198,11 @@ class MovingHand(Batch, Generic[Core]):
         return replace(self, core=core, own=own, assumed=self.assumed.at(new))
 
     def _free(self) -> tuple[Bool[ndarray, "C"], Bool[ndarray, "D"]]:
-        """Mark the errors that are free."""
         return self.assumed.constant > 0.0, self.assumed.own > 0.0
 
 
 def _object_motion_jacobian(hand: HandPoses, J: Float[ndarray, "B N 7 k"]) -> Float[ndarray, "B N P k"]:
-    """Local vectors of a motion of the object in the hand, with the hand fixed."""
+    """Transform local 7-vectors of the object in the moved hand to local 21-vectors, with the hand fixed."""
     v, w, scale = J[..., :3, :], J[..., 3:6, :], J[..., 6:, :]
     zero = np.zeros((*J.shape[:2], 7, J.shape[-1]))
     return np.concatenate([hand.R @ v, hand.R @ w, scale, zero, v / hand.scale[:, None, None, None], w, scale], axis=-2)

@@ -1,4 +1,4 @@
-"""Soft: another motion, from which each frame may deviate a little."""
+"""Soft: another motion, with a small deviation per frame."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Soft(Batch, Generic[Core]):
     """A fixed or hinged motion, and a small deviation per frame under a ridge; L grows by 6.
 
     Deviations (v, w) shift the object and turn it about its centre, in the hand frame:
-    ``R_n = exp(w_n) R_core, centre_n = centre_core + v_n``. They take up what the model inside cannot: an object that
-    is not quite on a hinge, a hand that the estimator has put a little wrong.
+    ``R_n = exp(w_n) R_core, centre_n = centre_core + v_n``. They explain small departures from the model within: an
+    object that is not quite on a hinge, a hand whose estimate is a little wrong.
 
     Attributes:
         core: the motion to deviate from.
@@ -87,5 +87,4 @@ class Soft(Batch, Generic[Core]):
 
 
 def _rotate_jacobian(turn: Float[ndarray, "B N 3 3"], J: Float[ndarray, "B N 7 k"]) -> Float[ndarray, "B N 7 k"]:
-    """Local 7-vectors whose rotations are followed by another."""
     return np.concatenate([J[..., :3, :], turn @ J[..., 3:6, :], J[..., 6:, :]], axis=-2)

@@ -1,10 +1,10 @@
-"""The usual grasps and sizes of a kind of objects, where nothing but the kind is known of the object.
+"""Priors on grasps, size and upright axis of an unmeasured object, known by its category only.
 
-A mesh of this package's own stands for an object that nobody has measured. Its search also starts from the grasps that
-are usual for the kind, turned about the object's upright axis, so that a handle is tried on every side of the hand. Its
-size is drawn to what is usual (``Kind.spread``), and its upright axis to where it usually points in the hand: the
-silhouette of a mug is nearly that of one upside down. Vessels and bottles are seen from above: tilted as far away from
-the camera as towards it, a bowl or a bottle has nearly the same silhouette.
+The package's own mesh of the category stands for an object that nobody has measured. Its search also starts from the
+category's common grasps, turned about the object's upright axis, so that a handle is tried on every side of the hand.
+Its size is drawn to the common size (``CategoryPrior.spread``), and its upright axis to its common direction in the
+hand: a mug and a mug upside down have nearly the same silhouette. Vessels and bottles are seen from above: tilted away
+from the camera or towards it, a bowl or a bottle has nearly the same silhouette.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ N_UPRIGHT_TURNS = 8
 CATEGORY_PRIOR_WEIGHT = 20.0
 """Energy of one standard deviation of size or tilt in each frame, times 1/2 [px^2]."""
 TILT_SIGMA = 0.15
-"""Standard deviation of the cosine to the usual upright axis, below zero."""
+"""Standard deviation of a negative cosine to the common upright axis."""
 SIDE_REFLECTIONS = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
 """Reflections: of the left hand's frame to the right's, and of an object whose handle points along x."""
 
 
 def unmeasured_kind(clip: Clip) -> CategoryPrior | None:
-    """Return the kind of a clip's object, if its kind is all that is known of its shape and size."""
+    """Return the prior of an object's category, if shape and size of the object are unknown; else None."""
     unmeasured = clip.scale == "free" and is_assumed(clip.provenance.get("mesh"))
     return CATEGORY_PRIORS.get(clip.category) if unmeasured else None
 
 
 def category_rotations(clip: Clip) -> Float[ndarray, "k 3 3"]:
-    """Return rotations of the object in the hand, those of the most usual grasps first; none where it was measured."""
+    """Return rotations of an unmeasured object in the hand, of the most common grasps first; none of another."""
     kind = unmeasured_kind(clip)
     if kind is None:
         return np.zeros((0, 3, 3))
@@ -51,7 +51,7 @@ def category_rotations(clip: Clip) -> Float[ndarray, "k 3 3"]:
 
 
 def handle_half_turns(clip: Clip, surface: ObjectSurface) -> Float[ndarray, "k 3 3"]:
-    """Return the half turn that swaps the sides of an unmeasured object's handle; none if nothing sticks out."""
+    """Return the half turn that swaps the sides of an unmeasured object's handle; none without a handle."""
     half = se3.exp_so3(np.array([[0.0, 0.0, np.pi]]))
     if unmeasured_kind(clip) is None or surface.moved_by(half)[0] < HALF_TURN_DISTANCE_RANGE[1]:
         return half[:0]
@@ -59,9 +59,9 @@ def handle_half_turns(clip: Clip, surface: ObjectSurface) -> Float[ndarray, "k 3
 
 
 def opening_angle(clip: Clip, T_hand_obj: Float[ndarray, "T 4 4"]) -> float:
-    """Measure how far the opening of an unmeasured vessel points away from the camera, median over frames [degrees].
+    """Measure the angle by which an unmeasured vessel's opening points away from the camera, median [degrees].
 
-    NaN for all other objects.
+    NaN of all other objects.
     """
     kind = unmeasured_kind(clip)
     if kind is None or not kind.opens_up:
@@ -95,7 +95,7 @@ class UprightTerm:
     """
 
     axes: Float[ndarray, "N k 3"]
-    """Its usual directions in the camera frame."""
+    """Common directions of z in the camera frame."""
     weight: float = CATEGORY_PRIOR_WEIGHT
     name: str = "upright"
 
@@ -111,9 +111,9 @@ class UprightTerm:
 
 
 def category_energy(clip: Clip) -> Energy:
-    """Return the terms of an unmeasured object's upright axis, and of a size that is drawn to the usual or known one.
+    """Return the terms on an unmeasured object's upright axis and size, and on a size that is free beside the hand's.
 
-    No terms for others.
+    No terms for other objects.
     """
     kind = unmeasured_kind(clip)
     spread = None if kind is None else kind.spread

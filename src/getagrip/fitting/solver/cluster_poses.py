@@ -1,8 +1,8 @@
-"""Starting poses learnt from true ones: rotations clustered on SO(3), and a mean translation (paper, appendix).
+"""Initial poses learnt from true ones: rotations clustered on SO(3), and a mean translation (paper, appendix).
 
 The paper starts from 50 rotations and one translation for each object and side of hand, found by clustering the true
 poses of the grasps that it then evaluates. Here a file holds the grasps themselves, with the names of clips and
-subjects: each clip starts from what is learnt without its own subject (``pose_priors``).
+subjects: the poses for a clip are learnt without its own subject (``initial_poses``).
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ PRIORS_VERSION = 2
 """Version of the file."""
 MAX_CLUSTERS = 1000
 _MAX_K_MEANS_ITERATIONS = 100
-"""Rounds of k-means or of a mean, if it does not settle before."""
+"""Maximum number of iterations of k-means, or of a mean rotation."""
 _ROTATION_TOLERANCE_RAD = 1e-6
-"""Rotations nearer than this are one [rad]."""
+"""Angle below which rotations count as one [rad]."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class PosePriors:
         category: category of the object of each pose.
         side: ``left`` or ``right`` hand of each pose.
         T_hand_obj: (N, 4, 4) poses, object frame to hand frame [m].
-        clips: names of the clips they were learnt from; empty for poses from elsewhere.
-        subjects: people whose hands were in those clips.
+        clips: names of the clips they were learnt from; empty where unknown.
+        subjects: people whose hands were in these clips.
     """
 
     category: tuple[str, ...]
@@ -52,14 +52,14 @@ class PosePriors:
     subjects: tuple[str, ...] = ()
 
     def of(self, category: str, side: str) -> Float[ndarray, "k 4 4"]:
-        """Return the poses of a category in a hand, those of most grasps first."""
-        here = [n for n, key in enumerate(zip(self.category, self.side, strict=True)) if key == (category, side)]
-        return self.T_hand_obj[here]
+        """Return the poses of a category in a hand, of the most grasps first."""
+        keys = zip(self.category, self.side, strict=True)
+        return self.T_hand_obj[[n for n, key in enumerate(keys) if key == (category, side)]]
 
     def write(self, folder: Path) -> None:
-        """Write them as ``<category>/<side>_<number>.npy``, as ``pose_priors.read_folder`` reads them.
+        """Write them as ``<category>/<side>_<number>.npy``, for ``initial_poses.read_priors_folder``.
 
-        Raises ``UsageError`` for a folder that exists, and for a category that no folder can be named by.
+        Raises ``UsageError`` for a folder that exists, and for a category that cannot name a folder.
         """
         with files.new_folder(folder) as work:
             for category, side in sorted({*zip(self.category, self.side, strict=True)}):
@@ -73,7 +73,7 @@ class PosePriors:
 
 
 def subject_from_provenance(clip: Clip) -> str:
-    """Return the subject whose hand is in a clip, as its provenance says; empty where it does not."""
+    """Return the subject whose hand is in a clip, from its provenance; empty where unknown."""
     return str(clip.provenance.get("subject", ""))
 
 
@@ -91,11 +91,11 @@ class TrueGraspPose:
     """The mesh's centre in the object frame, at its true scale [m]."""
     clip: str
     subject: str
-    """Whose hand it is; empty where unknown."""
+    """Person whose hand it is; empty where unknown."""
 
 
 def true_grasp_pose(clip: Clip) -> TrueGraspPose:
-    """Learn from a clip. Raises ``InputError`` where it has no truth."""
+    """Learn the pose of a clip's grasp. Raises ``InputError`` for a clip without ground truth."""
     truth = clip.truth
     if truth is None:
         raise InputError(clip.origin / "truth.npz", "", "no such file", "the true poses, to learn from")
@@ -114,33 +114,31 @@ def true_grasp_pose(clip: Clip) -> TrueGraspPose:
 
 @dataclass(frozen=True)
 class LearntGrasps:
-    """Grasps, and how poses to start from are learnt from them: what ``init learn`` writes."""
+    """Grasps, and the settings by which initial poses are learnt from them: the content of a file of ``init learn``."""
 
     holds: tuple[TrueGraspPose, ...]
     k: int = 50
-    """Rotations of each category and side of hand, at most."""
+    """Maximum number of rotations of each category and side of hand."""
     way: Way = "geodesic"
     seed: int = 0
 
     def without(self, clip: str, subject: str) -> LearntGrasps:
-        """Return all but a clip's own grasp and those of its subject, where that is known."""
+        """Return all grasps but a clip's own and those of its subject, where the subject is known."""
         kept = (h for h in self.holds if h.clip != clip and not (subject and h.subject == subject))
         return replace(self, holds=tuple(kept))
 
     def of(self, category: str, side: str) -> LearntGrasps:
-        """Return those of a category in a hand."""
+        """Return the grasps of a category in a hand."""
         return replace(self, holds=tuple(h for h in self.holds if (h.category, h.side) == (category, side)))
 
     def poses(self) -> PosePriors:
-        """Return the initial poses."""
-        return (
-            learn_pose_priors(self.holds, self.k, self.way, self.seed)
-            if self.holds
-            else PosePriors((), (), np.zeros((0, 4, 4)))
-        )
+        """Learn the initial poses."""
+        if not self.holds:
+            return PosePriors((), (), np.zeros((0, 4, 4)))
+        return learn_pose_priors(self.holds, self.k, self.way, self.seed)
 
     def write(self, path: Path) -> None:
-        """Write it as an ``.npz`` file, its folder made where there is none."""
+        """Write it as an ``.npz`` file, with its folder if missing."""
         path.parent.mkdir(parents=True, exist_ok=True)
         names = {"category": "category", "side": "side", "clips": "clip", "subjects": "subject"}
         texts = {key: np.array([getattr(h, name) for h in self.holds], np.str_) for key, name in names.items()}
@@ -152,8 +150,8 @@ class LearntGrasps:
 def learn_pose_priors(holds: Sequence[TrueGraspPose], k: int, way: Way = "geodesic", seed: int = 0) -> PosePriors:
     """Learn k rotations and one translation for each category and side of hand.
 
-    The translation is the mean place of the object's centre, so that it does not matter where a CAD has its origin:
-    ``T_hand_obj = [R_i | centre - R_i mesh_centre]``. Fewer than k different rotations are all taken as they are.
+    The translation is the mean place of the object's centre, so that the place of a CAD's origin does not matter:
+    ``T_hand_obj = [R_i | centre - R_i mesh_centre]``. At most k distinct rotations are taken unchanged.
     """
     category, side, poses = list[str](), list[str](), list[ndarray]()
     for key in sorted({(h.category, h.side) for h in holds}):
@@ -163,37 +161,32 @@ def learn_pose_priors(holds: Sequence[TrueGraspPose], k: int, way: Way = "geodes
         poses.append(se3.rigid(R, centre - R @ mesh_centre))
         category += [key[0]] * len(R)
         side += [key[1]] * len(R)
-    subjects = tuple(sorted({h.subject for h in holds} - {""}))
-    return PosePriors(
-        tuple(category), tuple(side), np.concatenate(poses), tuple(sorted(h.clip for h in holds)), subjects
-    )
+    clips, subjects = tuple(sorted(h.clip for h in holds)), tuple(sorted({h.subject for h in holds} - {""}))
+    return PosePriors(tuple(category), tuple(side), np.concatenate(poses), clips, subjects)
 
 
 def cluster_rotations(
     R: Float[ndarray, "n 3 3"], k: int, way: Way = "geodesic", seed: int = 0
 ) -> Float[ndarray, "m 3 3"]:
-    """Cluster n rotations into at most k by k-means, those that stand for most first.
+    """Cluster n rotations into at most k by k-means, the largest clusters first.
 
     ``geodesic``: on SO(3), with the angle between rotations for their distance, and for their mean the rotation of
-    least mean squared angle. ``axis-angle``: of rotation vectors, as in the paper; there, half turns about opposite
-    directions are far apart though they are the same. The first means are drawn by ``seed`` far from each other
+    least mean squared angle. ``axis-angle``: of rotation vectors, as in the paper, which puts half turns about opposite
+    directions far apart though they are the same. The first means are drawn by ``seed`` far from each other
     (k-means++).
     """
     rng = np.random.default_rng(seed)
     if way == "geodesic":
         return _k_means(R, k, lambda a, b: se3.angle_between(a[:, None], b[None]), karcher_mean, rng)
-    vectors = se3.log_so3(R)
-    means = _k_means(
-        vectors, k, lambda a, b: np.linalg.norm(a[:, None] - b[None], axis=-1), lambda w: w.mean(axis=0), rng
-    )
-    return se3.exp_so3(means)
+
+    def distances(a: Float[ndarray, "n 3"], b: Float[ndarray, "m 3"]) -> Float[ndarray, "n m"]:
+        return np.linalg.norm(a[:, None] - b[None], axis=-1)
+
+    return se3.exp_so3(_k_means(se3.log_so3(R), k, distances, lambda w: w.mean(axis=0), rng))
 
 
 def karcher_mean(R: Float[ndarray, "n 3 3"]) -> Float[ndarray, "3 3"]:
-    """Return the rotation of least mean squared angle to n others.
-
-    It is found by fixed point, from the mean matrix's nearest rotation.
-    """
+    """Find the rotation of least mean squared angle to n others, by fixed point from the mean matrix."""
     mean = se3.nearest_rotation(R.mean(axis=0))
     for _ in range(_MAX_K_MEANS_ITERATIONS):
         step = se3.log_so3(R @ mean.T).mean(axis=0)
@@ -210,7 +203,7 @@ def _k_means(
     mean: Callable[[ndarray], ndarray],
     rng: np.random.Generator,
 ) -> Float[ndarray, "m ..."]:
-    """At most k means of n points (Lloyd), of the fullest cluster first; fewer where points are the same."""
+    """Find at most k means of n points (Lloyd), the largest cluster's first; fewer where points coincide."""
     chosen = [int(rng.integers(len(points)))]
     while len(chosen) < k:
         squared = distances(points, points[chosen]).min(axis=1) ** 2

@@ -1,12 +1,9 @@
-"""Initial poses: those that are given, then a uniform grid of rotations over SO(3), placed by the hand and the masks.
+"""Initial poses: prior poses that a user names, then a uniform grid of rotations over SO(3).
 
-The ground truth is never used.
-
-Initial poses that a user names: of a category (learnt, or a folder), or another system's poses of the clip itself.
-
-A file of ``init learn`` of version 2 holds the grasps that poses are learnt from. They are clustered when they are
-used, without those of the clip's own subject. One of version 1 holds poses, and is refused for the clips and subjects
-they were learnt from.
+Uniform rotations are placed by the hand and the masks; the ground truth is never used. Prior poses are a category's
+(learnt, or of a folder), or another system's poses of the clip itself. A file of ``init learn`` of version 2 holds
+grasps, which are clustered at use without those of the clip's own subject. A file of version 1 holds poses, and is
+refused for the clips and subjects that they were learnt from.
 """
 
 from __future__ import annotations
@@ -40,6 +37,15 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.io import arrays, files
 from getagrip.io.terminal import format_count
 
+PRIOR_NAME_KEYS = ("category", "side", "clips", "subjects")
+"""Arrays of names in a file: one name per pose, clip and subject in version 1, per grasp in version 2."""
+PRIOR_NUMBER_KEYS = ("version", "k", "seed", "R", "centre", "mesh_centre", "T_hand_obj")
+HAND_SIDES = ("left", "right")
+REPRESENTATIVE_DISTANCE_DIAMETERS = 0.15
+"""Distance of the posed surfaces below which one pose of a track represents another."""
+MAX_PRIOR_DISTANCE_M = 2.0
+"""Maximum plausible distance of an object's origin from the hand frame's [m]."""
+
 
 def initial_poses(
     clip: Clip,
@@ -49,12 +55,10 @@ def initial_poses(
     poses: Float[ndarray, "k 4 4"] | None = None,
     usual: Float[ndarray, "u 3 3"] | None = None,
 ) -> Fixed:
-    """Return B = ``inits`` poses: the first of ``poses`` (``T_hand_obj``), then rotations spread uniformly over SO(3).
+    """Make B = ``inits`` poses: the first of ``poses`` (``T_hand_obj``), then rotations spread uniformly over SO(3).
 
-    ``usual`` rotations come first among the latter, half of them at most.
-
-    The latter place the object's centre at ``grip_point``. A free scale is initialised so that the object at that
-    place is as large as its masks.
+    ``usual`` rotations replace at most half of the uniform ones. Rotations place the object's centre at ``grip_point``.
+    A free scale starts so that the object at this place is as large as its masks.
     """
     poses = np.zeros((0, 4, 4)) if poses is None else poses[:inits]
     offset = se3.exp_so3(np.random.default_rng(seed).uniform(-1.0, 1.0, 3)) if seed else np.eye(3)
@@ -73,10 +77,10 @@ def initial_poses(
 
 
 def grip_point(hand: HandTrack, K: Float[ndarray, "T 3 3"], uv: Float[ndarray, "T 2"]) -> Float[ndarray, "3"]:
-    """Return the point of the hand frame nearest to the rays through the masks' centres and to the hand's grip [m].
+    """Find the point of the hand frame nearest to the rays through the masks' centres and to the hand's grip [m].
 
-    The grip is the mean of the five fingertips' contact regions, with a standard deviation of 5 cm. The rays have 2 cm;
-    together they count as four, since occlusion by the hand biases all of them alike.
+    The grip is the mean of the five fingertips' contact regions, with a standard deviation of 5 cm. A ray's is 2 cm;
+    together the rays count as four, since occlusion by the hand biases all of them alike.
     """
     grip = np.mean([hand.vertices[:, hand.regions[name]].mean(axis=(0, 1)) for name in FINGERS], axis=0)
     R_hand_cam = np.swapaxes(hand.T_cam_hand[:, :3, :3], 1, 2)
@@ -89,27 +93,16 @@ def grip_point(hand: HandTrack, K: Float[ndarray, "T 3 3"], uv: Float[ndarray, "
     return np.linalg.solve(A, ray_weight * (orthogonal @ eye[..., None])[..., 0].sum(axis=0) + grip_weight * grip)
 
 
-PRIOR_NAME_KEYS = ("category", "side", "clips", "subjects")
-"""Arrays of names in a file: of version 1 for each pose, each clip and each subject, of version 2 for each grasp."""
-PRIOR_NUMBER_KEYS = ("version", "k", "seed", "R", "centre", "mesh_centre", "T_hand_obj")
-HAND_SIDES = ("left", "right")
-REPRESENTATIVE_DISTANCE_DIAMETERS = 0.15
-"""Poses of a track whose surfaces are nearer than this, in diameters, are represented by one."""
-MAX_PRIOR_DISTANCE_M = 2.0
-"""Largest plausible distance of an object's origin from that of the hand frame [m]."""
-
-
 def priors_checksum(path: Path, init: Init) -> str:
-    """Return the checksum of what a user names for a kind of initial poses. Raises ``InputError``."""
+    """Compute the checksum of a user's file or folder of prior poses. Raises ``InputError``."""
     return files.sha256(_list_prior_files(path, init))
 
 
 def read_initial_poses(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tuple[str, ...]]:
-    """Return the poses that the search may start from before uniform rotations, or alone, and notes on them.
+    """Read the prior poses of the search, and notes on them.
 
-    Raises ``InputError`` for files that are missing, malformed or not what they were when the options were made, for
-    poses of version 1 learnt from this clip or from other grasps of the same subject, and where poses are to stand
-    alone and there are none.
+    Raises ``InputError`` for files that are missing, malformed or changed since the options were made, for poses of
+    version 1 learnt from this clip or from its subject, and for prior poses that are missing but shall be used alone.
     """
     if options.priors is None:
         return np.zeros((0, 4, 4)), ()
@@ -139,7 +132,7 @@ def read_initial_poses(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 
 def _read_external_poses(
     file: PriorsFile, clip: Clip, options: Options
 ) -> tuple[Float[ndarray, "k 4 4"], tuple[str, ...]]:
-    """Return another system's poses of the clip, those alike represented by one. Raises ``InputError``."""
+    """Read another system's poses of the clip, similar ones represented by one. Raises ``InputError``."""
     _check_unchanged(file, "poses")
     poses = read_poses(find_poses_path(file.path, clip.name), clip, file.first)
     T = _representatives(poses.T_hand_obj[poses.found], clip.mesh, options.inits)
@@ -149,7 +142,7 @@ def _read_external_poses(
 
 
 def _representatives(T: Float[ndarray, "n 4 4"], mesh: Mesh, most: int) -> Float[ndarray, "k 4 4"]:
-    """Choose poses, the most central first, then each time the farthest, until none is ``REPRESENTATIVE_DISTANCE_DIAMETERS`` from all of them."""
+    """Choose poses, the most central first, then the farthest, up to ``REPRESENTATIVE_DISTANCE_DIAMETERS``."""
     points = se3.transform(T, mesh.vertices[:: max(1, len(mesh.vertices) // 50)]) / mesh.diameter
 
     def distance(n: int) -> Float[ndarray, "n"]:
@@ -166,14 +159,14 @@ def _representatives(T: Float[ndarray, "n 4 4"], mesh: Mesh, most: int) -> Float
 
 @lru_cache(maxsize=4)
 def _check_unchanged(file: PriorsFile, init: Init) -> None:
-    """Raise ``InputError`` where the content is not what it was when the options were made."""
+    """Raise ``InputError`` where the content has changed since the options were made."""
     if priors_checksum(file.path, init) != file.sha256:
-        raise InputError(file.path, "", "another content than a moment ago", "a file that stays as it is")
+        raise InputError(file.path, "", "content that has changed since it was named", "a file that stays unchanged")
 
 
 @lru_cache(maxsize=256)
 def _without_own(file: PriorsFile, category: str, side: str, clip: str, subject: str) -> PosePriors:
-    """Return the poses learnt from others' grasps of a category in a hand."""
+    """Learn the poses of other subjects' grasps of a category in a hand."""
     learnt = _read_priors(file, "clusters")
     assert isinstance(learnt, LearntGrasps)
     return learnt.without(clip, subject).of(category, side).poses()
@@ -217,19 +210,10 @@ def read_learnt(path: Path) -> PosePriors | LearntGrasps:
     way = content.get("way", np.array(""))
     if way.shape != () or str(way) not in CLUSTERINGS:
         raise InputError(path, "way", files.shorten_value(way.tolist()), f"one of {', '.join(CLUSTERINGS)}")
-    k, seed = (
-        _read_whole_number(path, content, "k", 1, MAX_CLUSTERS),
-        _read_whole_number(path, content, "seed", 0, 2**63 - 1),
-    )
-    rows = zip(
-        *(names[key] for key in ("category", "side")),
-        R,
-        centre,
-        mesh_centre,
-        names["clips"],
-        names["subjects"],
-        strict=True,
-    )
+    k = _read_whole_number(path, content, "k", 1, MAX_CLUSTERS)
+    seed = _read_whole_number(path, content, "seed", 0, 2**63 - 1)
+    category, side, clips, subjects = (names[key] for key in PRIOR_NAME_KEYS)
+    rows = zip(category, side, R, centre, mesh_centre, clips, subjects, strict=True)
     return LearntGrasps(tuple(TrueGraspPose(*row) for row in rows), k, cast(Way, str(way)), seed)
 
 
@@ -249,12 +233,12 @@ def _read_whole_number(path: Path, content: dict[str, ndarray], key: str, least:
 def read_priors_folder(folder: Path) -> PosePriors:
     """Read the poses of a folder ``<category>/<left or right>_<anything>.npy``: a 4x4 ``T_hand_obj`` each.
 
-    So the authors keep theirs. A factor on a rotation is dropped, as their code does. Raises ``InputError``.
+    The paper's authors publish theirs so. A factor on a rotation is dropped, as in their code. Raises ``InputError``.
     """
     category, side, poses = list[str](), list[str](), list[ndarray]()
     for name, path in _list_prior_files(folder, "priors").items():
         T = arrays.floats(path, {"": arrays.parse_npy(path, "", files.read_bytes(path))}, "", (4, 4))
-        with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is no rotation then
+        with np.errstate(over="ignore", invalid="ignore"):  # the quotient is then refused as no rotation
             factor = np.cbrt(np.linalg.det(T[:3, :3]))
             if factor > 0:
                 T[:3, :3] /= factor
@@ -266,13 +250,11 @@ def read_priors_folder(folder: Path) -> PosePriors:
 
 
 def _list_prior_files(path: Path, init: Init) -> dict[str, Path]:
-    """List the files that a user's choice is made of, by name. Raises ``InputError`` where there are none."""
+    """List the files of a user's choice, by name. Raises ``InputError`` without files."""
     if init == "poses":
-        alone = [path] if path.is_file() and path.suffix.lower() in POSE_FILE_SUFFIXES else []
-        inside = [
-            *alone,
-            *(one for pattern in ("*", "*/*") for one in files.list_files(path, POSE_FILE_SUFFIXES, pattern)),
-        ]
+        inside = [path] if path.is_file() and path.suffix.lower() in POSE_FILE_SUFFIXES else []
+        for pattern in ("*", "*/*"):
+            inside += files.list_files(path, POSE_FILE_SUFFIXES, pattern)
         tracks = {str(p.relative_to(path)): p for p in inside}
         if not tracks:
             raise InputError(path, "", "no poses", f"files of poses ({', '.join(POSE_FILE_SUFFIXES)})")
@@ -288,7 +270,7 @@ def _list_prior_files(path: Path, init: Init) -> dict[str, Path]:
 
 
 def _check_prior_poses(path: Path, key: str, T: Float[ndarray, "N 4 4"]) -> None:
-    """Raise ``InputError`` for what is no rigid motion in metres."""
+    """Raise ``InputError`` for matrices that are no rigid motions in metres."""
     rigid = se3.is_rigid(T)
     if not rigid.all():
         got = f"a matrix that is no rigid motion ({int(np.argmin(rigid))})"

@@ -1,18 +1,17 @@
 """Multi-start, coarse-to-fine search: many rotations at low resolution and few frames, fewer and fewer at higher.
 
-By the energy of a static fit the right hypothesis is often lost: the first are dropped after a relaxed fit, most after
-the motion model has been fitted.
-Then the best are rotated and fitted again, a few rounds of it: local minima lie side by side, and in pairs; once more
-by less in the middle, for a mug whose handle is in the hand has minima all around it. At the end the best is compared
-with the other way round, where half a turn nearly leaves the surface as it is, and always where only a handle tells the
-two apart and nothing but the kind is known of the object. The axis of a hinge comes from
-the data: after a static fit, a relaxed fit with a small deviation per frame, whose rotation vectors' principal
-direction is the axis. (Angle zero about any axis is a dead start: the energy does not depend on the axis there.)
+The energy of a static fit often ranks the right hypothesis low: so the first hypotheses are dropped after a relaxed
+fit, most after the motion model has been fitted. Then the best are rotated and fitted again, in a few rounds: local
+minima lie side by side, and in pairs. The middle stage rotates once more by less: a mug whose handle is in the hand has
+minima all around the right one. At the end the best is compared with its half turn, where half a turn leaves the
+surface nearly unchanged, and always where an unmeasured object differs from its half turn by a handle only.
 
-A method takes the steps in turn, and says in between which motion model goes on (``methods.all_frames``): ``relax``,
-then ``run``, which is ``coarse``, ``at_all_frames`` and ``fine``.
+The axis of a hinge comes from the data: after a static fit, a relaxed fit with a small deviation per frame, whose
+rotation vectors' principal direction is the axis. (Angle zero about any axis is a dead start: the energy does not
+depend on the axis.)
 
-The stages of a search, from coarse to fine: how many frames and pixels, how many hypotheses, how long.
+A method (``methods.all_frames``) calls ``relax``, chooses the motion model, and calls ``run``, which is ``coarse``,
+``at_all_frames`` and ``fine``. A ``Schedule`` gives each stage's frames, pixels, hypotheses and iterations.
 """
 
 from __future__ import annotations
@@ -34,14 +33,28 @@ from getagrip.fitting.solver.solve import Solution, minimise
 from getagrip.geometry import se3
 from getagrip.result import Status
 
+M = TypeVar("M", bound=Motion)
+
+DEVIATION_STIFFNESS = (2e5 / 16, 1.2e3 / 16)
+"""Stiffness of the deviations in the relaxed fit [px^2 per m^2, px^2 per rad^2]."""
+DUPLICATE_DISTANCE_DIAMETERS = 0.03
+"""Distance of the posed surfaces up to which hypotheses are duplicates."""
+AMBIGUOUS_SIDE_RATIO = 1.02
+"""Ratio of energies up to which an object and its half turn are ambiguous. On 94 training clips of DexYCB and ARCTIC
+the ratio was 1.005 where the best was wrong, and 1.007 or more where the best was right."""
+HANDLE_FLIP_TOLERANCE_RAD = np.radians(60.0)
+"""Maximum deviation from half a turn between solutions with the handle on opposite sides."""
+ALL_FRAMES = 10**9
+"""Number that stands for all frames."""
+
 
 @dataclass(frozen=True)
 class Rotations:
-    """Rotations of the object that lead from one local minimum to another, from and to how many degrees.
+    """Ranges of rotations of the object from one local minimum to another.
 
     Attributes:
         random: smallest and largest rotation about a random axis [degrees].
-        principal: rotations about each of the three principal axes, either way [degrees].
+        principal: the same about each of the three principal axes, either way [degrees].
     """
 
     random: tuple[float, float]
@@ -49,32 +62,29 @@ class Rotations:
 
 
 GLOBAL_ROTATIONS = Rotations(random=(10.0, 40.0), principal=(180.0, 180.0))
-"""To other poses; half a turn about a principal axis shows nearly the same silhouette."""
+"""Rotations to distant minima; half a turn about a principal axis gives nearly the same silhouette."""
 LOCAL_ROTATIONS = Rotations(random=(5.0, 20.0), principal=(8.0, 25.0))
-"""Out of a minimum beside the best."""
-
-ALL_FRAMES = 10**9
-"""Number that stands for all frames."""
+"""Rotations out of a minimum beside the best."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One resolution: how many frames, which level, how long, and how many hypotheses go on to the next.
+    """One stage of the search.
 
     Attributes:
         name: name, as in progress reports.
         level: side of the masks [px]: 64, 128 or 256.
-        frames: largest number of frames that are used.
-        iterations: most iterations of the solver.
-        keep: number of hypotheses that the next stage takes over.
-        within: how many times the least energy these may have. After the coarse stage the right one may still have many
-            times as much (docs/method.md).
-        rounds: how often the best hypotheses of the stage are rotated and fitted again.
+        frames: maximum number of frames.
+        iterations: maximum number of iterations of the solver.
+        keep: number of hypotheses kept for the next stage.
+        within: maximum energy of these, in the least energy. After the coarse stage the right hypothesis may still have
+            many times the least energy (docs/method.md).
+        rounds: number of times that the best hypotheses of the stage are rotated and fitted again.
         parents: number of hypotheses that are rotated.
-        rotations: rotations of each of them.
-        half_turns: the best hypothesis is fitted turned by half a turn too, where that nearly leaves the surface as it
-            is (``ObjectSurface.half_turns``); both are kept where their energies are alike. Coarser stages do not tell
-            the two apart.
+        rotations: ranges of their rotations.
+        half_turns: whether the best hypothesis is also fitted from its half turns, where these leave the surface nearly
+            unchanged (``ObjectSurface.half_turns``); both are kept where their energies are ambiguous. Coarser stages
+            do not tell the two apart.
     """
 
     name: str
@@ -96,9 +106,9 @@ class Schedule:
     Attributes:
         static_iterations: iterations of the first fit, with one pose for all frames.
         relaxed_iterations: iterations of the second fit, in which each frame may deviate from that pose.
-        relaxed: number of hypotheses that go on from there.
-        coarse: stages that see some of the frames. The first two fits are made at the first one's frames and level.
-        fine: stages that see all frames.
+        relaxed: number of hypotheses kept after the second fit.
+        coarse: stages on some of the frames. The first two fits are made at the first stage's frames and level.
+        fine: stages on all frames.
     """
 
     static_iterations: int = 6
@@ -107,15 +117,7 @@ class Schedule:
     coarse: tuple[Stage, ...] = (
         Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=3),
         Stage(
-            "middle",
-            level=64,
-            frames=15,
-            iterations=6,
-            keep=6,
-            rounds=1,
-            parents=6,
-            rotations=LOCAL_ROTATIONS,
-            within=4.0,
+            "middle", 64, frames=15, iterations=6, keep=6, rounds=1, parents=6, rotations=LOCAL_ROTATIONS, within=4.0
         ),
     )
     fine: tuple[Stage, ...] = (
@@ -136,27 +138,12 @@ THOROUGH_SCHEDULE = Schedule(
         Stage("finest", level=256, frames=ALL_FRAMES, iterations=16, keep=4, half_turns=True),
     ),
 )
-"""A longer search: more hypotheses go on, and further, and are rotated once more with all frames in view."""
-
-M = TypeVar("M", bound=Motion)
-
-DEVIATION_STIFFNESS = (2e5 / 16, 1.2e3 / 16)
-"""Stiffness of the deviations in the relaxed fit [px^2 per m^2, px^2 per rad^2]."""
-DUPLICATE_DISTANCE_DIAMETERS = 0.03
-"""Hypotheses whose surfaces are nearer than this, in diameters, are one."""
-AMBIGUOUS_SIDE_RATIO = 1.02
-"""Energies within this factor do not decide which way round an object is.
-
-In a trial on 94 training clips of DexYCB and ARCTIC it was 1.005 where the best was wrong, and 1.007 or more where it
-was right.
-"""
-HANDLE_FLIP_TOLERANCE_RAD = np.radians(60.0)
-"""Solutions with the handle on opposite sides differ by half a turn, but for so much."""
+"""A longer search: more hypotheses are kept, for more stages, and are rotated once more on all frames."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """The steps of a search on one clip of N frames. Each raises ``GetagripError`` where nothing can be rendered."""
+    """The steps of a search on one clip of N frames. Each raises ``GetagripError`` where no pose can be rendered."""
 
     T_cam_hand: Float[ndarray, "N 4 4"]
     surface: ObjectSurface
@@ -164,9 +151,8 @@ class Search:
     on_stage: Callable[[str], None]
     """Called with the name of each stage when it ends."""
     threads: int = 1
-    """Number of threads."""
     opposite: Float[ndarray, "k 3 3"] = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    """Turns of the object that take a handle to its other side: the best solution turned so is always kept."""
+    """Turns of the object that take a handle to its other side: the best solution with such a turn is always kept."""
 
     def relax(self, initial: Fixed, energy: Energy) -> Soft[Fixed]:
         """Fit a static pose from each initial one, then let each frame deviate a little."""
@@ -184,28 +170,28 @@ class Search:
         return self.fine(self.at_all_frames(self.coarse(motion, energy).motion), energy)
 
     def coarse(self, motion: M, energy: Energy) -> Solution[M]:
-        """Run the stages that see some of the frames, from a motion at those of the first."""
+        """Run the stages on some of the frames, from a motion at the first stage's."""
         return self._stages(motion, self.schedule.coarse, energy)
 
     def at_all_frames(self, motion: M, coarse: int = -1) -> M:
-        """Take a motion at the frames of the last coarse stage to those of the fine stages."""
+        """Resample a motion from the frames of a coarse stage, by default the last, to those of the fine stages."""
         return motion.resampled(self.frames(self.schedule.coarse[coarse]), self.frames(self.schedule.fine[0]))
 
     def at_first_frames(self, motion: M) -> M:
-        """Take a motion at all frames to those of the first stage."""
+        """Resample a motion at all frames to those of the first stage."""
         return motion.resampled(np.arange(len(self.T_cam_hand)), self.frames(self.schedule.coarse[0]))
 
     def fine(self, motion: M, energy: Energy, stages: slice = slice(None)) -> Solution[M]:
-        """Run the stages that see all frames, or some of these; return distinct solutions, best first."""
+        """Run the stages on all frames, or a slice of these stages; return distinct solutions, best first."""
         return self._stages(motion, self.schedule.fine[stages], energy)
 
     @property
     def coarse_frames(self) -> Int[ndarray, "n"]:
-        """The frames at which the coarse stages end."""
+        """The frames of the last coarse stage."""
         return self.frames(self.schedule.coarse[-1])
 
     def frames(self, stage: Stage) -> Int[ndarray, "n"]:
-        """Return the frames of the clip that a stage sees."""
+        """Return the frames of a stage (indices into the clip)."""
         return frame_indices(len(self.T_cam_hand), stage.frames)
 
     def _stages(self, motion: M, stages: Sequence[Stage], energy: Energy) -> Solution[M]:
@@ -238,14 +224,14 @@ class Search:
     def _with_opposite(
         self, kept: Int[ndarray, "k"], poses: PosesInHand, energy: Float[ndarray, "B"], most: int
     ) -> Int[ndarray, "n"]:
-        """Add the best solution with the handle opposite to the first one's, in the place of the last if need be."""
+        """Add the best solution with the handle opposite to the first one's, in the place of the last of ``most``."""
         few = frame_indices(poses.R.shape[1], 3)
         between = np.swapaxes(poses.R[kept[0], few], -1, -2) @ poses.R[:, few]
         for turn in self.opposite:
             off = se3.angle_between(between, turn).mean(axis=-1)
-            there = np.flatnonzero((off < HANDLE_FLIP_TOLERANCE_RAD) & np.isfinite(energy))
-            if len(there) and not np.isin(there, kept).any():
-                kept = np.append(kept[: most - 1], there[energy[there].argmin()])
+            flipped = np.flatnonzero((off < HANDLE_FLIP_TOLERANCE_RAD) & np.isfinite(energy))
+            if len(flipped) and not np.isin(flipped, kept).any():
+                kept = np.append(kept[: most - 1], flipped[energy[flipped].argmin()])
         return kept
 
 
@@ -257,7 +243,7 @@ def explore_rotations(
     stage: Stage,
     threads: int = 1,
 ) -> Solution[M]:
-    """Return the solutions of a stage, and those found from the best of them rotated, in several rounds."""
+    """Rotate the best solutions of a stage and fit them again, in several rounds; return old and new solutions."""
     rng = np.random.default_rng(0)
     for _ in range(stage.rounds):
         parents = suppress_duplicates(solution.motion.poses(), solution.energy, surface, stage.parents)
@@ -270,10 +256,7 @@ def explore_rotations(
 
 
 def within_factor(energy: Float[ndarray, "n"], within: float) -> Bool[ndarray, "n"]:
-    """Return which energies are at most ``within`` times the first, which is the least.
-
-    Some terms may be below zero.
-    """
+    """Mark the energies at most ``within`` times the first, which is the least; energies may be below zero."""
     return np.asarray(energy - energy[0] <= (within - 1.0) * max(abs(energy[0]), 1e-9))
 
 
@@ -290,10 +273,10 @@ def drawn_rotations(
 def suppress_duplicates(
     poses: PosesInHand, energy: Float[ndarray, "B"], surface: ObjectSurface, keep: int, half_turns: bool = False
 ) -> Int[ndarray, "n"]:
-    """Choose the ``keep`` lowest finite energies, near-copies of a better one left out; return their indices.
+    """Choose the ``keep`` lowest finite energies without duplicates of a better one; return their indices.
 
-    Two hypotheses are the same if the object's surface moves by less than ``DUPLICATE_DISTANCE_DIAMETERS`` of its diameter; with ``half_turns``
-    not those that differ by half a turn that can be seen and have nearly the least energy.
+    Two hypotheses are duplicates if their surfaces are at most ``DUPLICATE_DISTANCE_DIAMETERS`` apart; with
+    ``half_turns``, not if they differ by a visible half turn and have nearly the least energy.
     """
     few = frame_indices(poses.R.shape[1], 3)
     R, centre, scale = poses.R[:, few], poses.centre[:, few], poses.scale
@@ -302,11 +285,10 @@ def suppress_duplicates(
         if len(chosen) == keep or not np.isfinite(energy[b]):
             break
         here, others = (R[b], centre[b], float(scale[b])), (R[chosen], centre[chosen], scale[chosen])
-        copies = (
-            surface.rms_distance(*here, *others, DUPLICATE_DISTANCE_DIAMETERS) <= DUPLICATE_DISTANCE_DIAMETERS
-            if chosen
-            else np.zeros(0, dtype=bool)
-        )
+        copies = np.zeros(0, dtype=bool)
+        if chosen:
+            apart = surface.rms_distance(*here, *others, DUPLICATE_DISTANCE_DIAMETERS)
+            copies = apart <= DUPLICATE_DISTANCE_DIAMETERS
         if half_turns and copies.any() and within_factor(energy[[chosen[0], b]], AMBIGUOUS_SIDE_RATIO)[1]:
             copies &= ~surface.half_turned(R[b], R[chosen])
         if not copies.any():

@@ -1,18 +1,16 @@
-"""The fit of a motion model to an energy, by Levenberg-Marquardt, for many hypotheses at once.
+"""The fit of a motion model to an energy, for many hypotheses at once: by Levenberg-Marquardt, or by Adam.
 
 The energy is a sum of terms over frames plus the motion model's own prior. Terms give gradient and Hessian by each
-frame's local 7-vector, the motion model its Jacobian; here they are summed and taken to the model's parameters.
-``least_squares`` takes it from there: a step is kept only if the energy itself has fallen.
+frame's local 7-vector, the motion model its Jacobian; their sums are transformed to the model's parameters.
+Levenberg-Marquardt (``minimise``, by ``least_squares``) keeps a step only if the energy itself has fallen.
 
-The fit of a motion model to an energy by Adam (Kingma and Ba, 2015), by gradients only.
-
-The paper names no optimiser; its authors' later code uses Adam. This one minimises the same terms over the same
-parameters as ``solve.minimise``, which is far quicker.
+Adam (``minimise_by_adam``; Kingma and Ba, 2015) uses gradients only, and is far slower. The paper names no optimiser;
+its authors' later code uses Adam.
 
 - **Parameters** are those of the motion model (``Motion.retract``): a step turns and shifts the current pose and axis,
   so that rotations stay rotations. Moments are kept in these local coordinates.
 - **Units.** Adam's steps are about as long in every parameter, so lengths need a unit: 1 rad (of angles, and 1 of the
-  log scale) is worth ``METRES_PER_RADIAN``, as in the Levenberg-Marquardt steps (``solve.LONGEST``).
+  log scale) is worth ``METRES_PER_RADIAN``, as in the longest Levenberg-Marquardt step.
 - **Rate.** It falls to zero by half a cosine, and the best iterate counts, not the last.
 """
 
@@ -37,11 +35,13 @@ from getagrip.result import Status
 M = TypeVar("M", bound=Motion)
 
 CURVATURE_FLOOR = 1e2
-"""Curvature assumed in directions that the energy does not see [px^2 per m^2 or rad^2]."""
+"""Curvature assumed in directions that leave the energy unchanged [px^2 per m^2 or rad^2]."""
 MAX_ROTATION_STEP_RAD = 0.6
-"""Longest step of a frame's rotation [rad]; translations scale with it at 10 cm a radian."""
-
-
+"""Maximum step of a frame's rotation [rad]; a translation's is 10 cm per radian of it."""
+METRES_PER_RADIAN = 0.1
+"""Length that is worth a radian, in Adam's steps."""
+ADAM_DECAY_RATES = (0.9, 0.999)
+"""Decay rates of the first and the second moment: Adam's defaults."""
 STATUS_OF_ENDING = {
     Ending.LOST: Status.INVISIBLE,
     Ending.CONVERGED: Status.CONVERGED,
@@ -58,8 +58,8 @@ class Solution(Generic[M]):
         motion: the best motion of each hypothesis.
         energy: (B,) energy of each, priors included [px^2 of the 256-pixel crop].
         terms: per term, (B,): its energy summed over frames; ``prior`` is the motion model's own.
-        status: how each minimisation ended.
-        evaluations: frames evaluated, in all.
+        status: end of each minimisation.
+        evaluations: number of frames evaluated, in all.
     """
 
     motion: M
@@ -70,23 +70,15 @@ class Solution(Generic[M]):
 
     def take(self, index: Int[ndarray, "n"]) -> Solution[M]:
         """Return some of the solutions."""
-        return Solution(
-            self.motion.take(index),
-            self.energy[index],
-            {name: value[index] for name, value in self.terms.items()},
-            [self.status[i] for i in index],
-            self.evaluations,
-        )
+        terms = {name: value[index] for name, value in self.terms.items()}
+        status = [self.status[i] for i in index]
+        return Solution(self.motion.take(index), self.energy[index], terms, status, self.evaluations)
 
     def concatenate(self, other: Solution[M]) -> Solution[M]:
         """Return these solutions, then the other's."""
-        return Solution(
-            self.motion.concatenate(other.motion),
-            np.concatenate([self.energy, other.energy]),
-            {name: np.concatenate([value, other.terms[name]]) for name, value in self.terms.items()},
-            [*self.status, *other.status],
-            self.evaluations + other.evaluations,
-        )
+        motion, energy = self.motion.concatenate(other.motion), np.concatenate([self.energy, other.energy])
+        terms = {name: np.concatenate([value, other.terms[name]]) for name, value in self.terms.items()}
+        return Solution(motion, energy, terms, [*self.status, *other.status], self.evaluations + other.evaluations)
 
 
 def poses_in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> PosesInCamera:
@@ -101,13 +93,13 @@ def poses_in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> Pose
 def _to_kernel_layout(
     poses: PosesInHand | HandPoses,
 ) -> tuple[Float[ndarray, "B N 3 3"], Float[ndarray, "B N 3"], Float[ndarray, "B"]]:
-    """Poses in the one layout that kernels are compiled for; another would compile each of them again."""
+    """Copy poses to the only layout that kernels are compiled for."""
     return np.ascontiguousarray(poses.R), np.ascontiguousarray(poses.centre), poses.scale
 
 
 @dataclass
 class _MotionState(Generic[M]):
-    """Hypotheses with everything known about them at their current parameters (``least_squares.State``)."""
+    """Hypotheses with energy and derivatives at their current parameters (``least_squares.State``)."""
 
     motion: M
     local: Quadratic
@@ -149,7 +141,7 @@ def evaluate(
     values[:, -1] = prior
     total: Quadratic | None = None
     for k, term in enumerate(terms):
-        with np.errstate(invalid="ignore"):  # behind the camera: no bound, and nothing of it left
+        with np.errstate(invalid="ignore"):  # behind the camera: infinity minus infinity
             local = term(poses, bound - prior - values[:, :k].sum(axis=1)).within(poses.size)
         values[:, k] = local.value.sum(axis=1)
         total = local if total is None else total + local
@@ -165,9 +157,9 @@ def minimise(
     rules: DampingRules = DEFAULT_DAMPING_RULES,
     threads: int = 1,
 ) -> Solution[M]:
-    """Minimise the sum of terms from each of B hypotheses; the rules say when one stops.
+    """Minimise the sum of terms from each of B hypotheses, each until the rules stop it.
 
-    Hypotheses know nothing of each other, so ``threads`` share them out; what is found is the same to the last bit.
+    Hypotheses are independent, so ``threads`` share them; the result is the same to the last bit.
     """
     shares = np.array_split(np.arange(len(motion.poses().scale)), threads)
     some = [motion.take(share) for share in shares if len(share)]
@@ -181,20 +173,22 @@ def minimise(
 def _minimise_together(
     motion: M, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], iterations: int, rules: DampingRules
 ) -> Solution[M]:
-    """``minimise``, all hypotheses side by side."""
     B, N = len(motion.poses().scale), len(T_cam_hand)
     start = evaluate(motion, terms, T_cam_hand, np.full(B, np.inf))
     found = least_squares.minimise(start, iterations, rules)
-    names = [*(t.name for t in terms), "prior"]
-    values = dict(zip(names, found.state.values.T, strict=True))
     status = [STATUS_OF_ENDING[ending] for ending in found.endings]
+    values = _name_terms(terms, found.state.values)
     return Solution(found.state.motion, found.state.cost, values, status, found.evaluations * N)
+
+
+def _name_terms(terms: Sequence[Term], values: ndarray) -> dict[str, Float[ndarray, "B"]]:
+    return dict(zip([*(term.name for term in terms), "prior"], values.T, strict=True))
 
 
 def _damped_step(
     motion: Motion, local: Quadratic, damping: Float[ndarray, "B"], T_cam_hand: Float[ndarray, "N 4 4"]
 ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
-    """Solve for the damped Gauss-Newton step of the shared and per-frame parameters, not longer than ``MAX_ROTATION_STEP_RAD``."""
+    """Solve for the damped Gauss-Newton step of the shared and per-frame parameters, cut to the maximum step."""
     J_shared, J_local = motion.jacobian()
     shared, per_frame = _motion_equations(motion, J_shared, J_local, local, T_cam_hand).step(damping, CURVATURE_FLOOR)
     moved = (J_shared @ shared[:, None, :, None] + J_local @ per_frame[..., None])[..., 0]
@@ -212,7 +206,7 @@ def _motion_equations(
     local: Quadratic,
     T_cam_hand: Float[ndarray, "N 4 4"],
 ) -> BlockArrow:
-    """Sum the normal equations of the motion's parameters, its own prior among them."""
+    """Sum the normal equations of the motion's parameters, with its own prior."""
     prior, J = motion.prior(), jacobian_in_camera(J_shared, J_local, T_cam_hand)
     arrow = BlockArrow.by(J, J_shared.shape[-1], local.H, local.g, local.cross)
     arrow = arrow.plus(H_ll=prior.H, g_l=prior.g, cross=prior.cross)
@@ -224,9 +218,9 @@ def _motion_equations(
 def inverse_of_shared(
     motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], last: int
 ) -> Float[ndarray, "n n"]:
-    """Compute the inverse Hessian by all parameters of the first hypothesis; return the part of the last shared ones.
+    """Compute the inverse Hessian by all parameters of the first hypothesis; return the last shared ones' block.
 
-    Times twice the energy of one standard deviation it is their covariance.
+    Multiplied by twice the energy of one standard deviation, the block is their covariance.
     """
     motion = motion.take(np.zeros(1, int))
     local = evaluate(motion, terms, T_cam_hand, np.full(1, np.inf)).local
@@ -240,7 +234,7 @@ def inverse_of_shared(
 def jacobian_in_camera(
     J_shared: Float[ndarray, "B N P S"], J_local: Float[ndarray, "B N P L"], T_cam_hand: Float[ndarray, "N 4 4"]
 ) -> Float[ndarray, "B N P Q"]:
-    """Put a motion's Jacobians side by side, of local vectors in the camera's frame."""
+    """Stack a motion's Jacobians by columns, of local vectors in the camera's frame."""
     J, R = np.concatenate([J_shared, J_local], axis=-1), T_cam_hand[:, :3, :3]
     parts = [R @ J[..., :3, :], R @ J[..., 3:6, :], J[..., 6:7, :]]
     if J.shape[-2] > 7:  # the hand, its fingers, and the object in the hand
@@ -252,25 +246,16 @@ def jacobian_in_camera(
 def hessian(motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"]) -> Float[ndarray, "B N P P"]:
     """Compute the Gauss-Newton Hessian of each frame's terms by the shared parameters, then those of the frame.
 
-    Without the motion's own prior, and without what ties frames to each other.
+    The motion's own prior and Hessians between frames are left out.
     """
     local = evaluate(motion, terms, T_cam_hand, np.full(len(motion.poses().scale), np.inf)).local
     J = jacobian_in_camera(*motion.jacobian(), T_cam_hand)
     return np.asarray(np.swapaxes(J, -1, -2) @ (local.H @ J))
 
 
-METRES_PER_RADIAN = 0.1
-"""Metres worth a radian."""
-ADAM_DECAY_RATES = (0.9, 0.999)
-"""Decay rates of the first and the second moment: Adam's defaults."""
-
-
 @dataclass
 class Adam:
-    """Adam's two moments of the parameters of B hypotheses, and the steps that follow from them.
-
-    The rate falls to zero by half a cosine over all iterations.
-    """
+    """Adam's two moments of the parameters of B hypotheses, and its steps; the rate falls to zero by half a cosine."""
 
     unit: Float[ndarray, "P"]
     """Length that is worth a radian, of each parameter."""
@@ -282,28 +267,25 @@ class Adam:
         self.done, self.mean, self.square = 0, np.zeros(1), np.zeros(1)
 
     def step(self, g: Float[ndarray, "B P"]) -> Float[ndarray, "B P"]:
-        """Take a gradient into the moments, and return the step that follows."""
+        """Add a gradient to the moments, and return the next step."""
         g = np.nan_to_num(self.unit * g)
         now = 0.5 * self.rate * (1.0 + np.cos(np.pi * self.done / self.iterations))
         self.done += 1
-        self.mean = ADAM_DECAY_RATES[0] * self.mean + (1.0 - ADAM_DECAY_RATES[0]) * g
-        self.square = ADAM_DECAY_RATES[1] * self.square + (1.0 - ADAM_DECAY_RATES[1]) * g**2
-        mean, square = (
-            self.mean / (1.0 - ADAM_DECAY_RATES[0] ** self.done),
-            self.square / (1.0 - ADAM_DECAY_RATES[1] ** self.done),
-        )
+        first, second = ADAM_DECAY_RATES
+        self.mean = first * self.mean + (1.0 - first) * g
+        self.square = second * self.square + (1.0 - second) * g**2
+        mean, square = self.mean / (1.0 - first**self.done), self.square / (1.0 - second**self.done)
         return -now * self.unit * mean / (np.sqrt(square) + 1e-12)
 
 
 def minimise_by_adam(
     motion: M, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], iterations: int, rate: float
 ) -> Solution[M]:
-    """Take each of B hypotheses downhill, at ``rate`` [rad] a step to begin with; the best iterate of each."""
+    """Minimise from each of B hypotheses by Adam, with an initial step of ``rate`` [rad]; keep the best iterates."""
     shared, local = motion.lengths()
     B, S = len(motion.poses().scale), len(shared)
-    adam = Adam(
-        np.where(np.concatenate([shared, np.tile(local, len(T_cam_hand))]), METRES_PER_RADIAN, 1.0), iterations, rate
-    )
+    lengths = np.concatenate([shared, np.tile(local, len(T_cam_hand))])
+    adam = Adam(np.where(lengths, METRES_PER_RADIAN, 1.0), iterations, rate)
     free = np.full(B, np.inf)
     best, least = motion, free
     values = np.zeros((B, len(terms) + 1))
@@ -315,10 +297,8 @@ def minimise_by_adam(
         g_shared, g_local = energy_gradient(motion, state.local, T_cam_hand)
         step = adam.step(np.concatenate([g_shared, g_local.reshape(B, -1)], axis=1))
         motion = motion.retract(step[:, :S], step[:, S:].reshape(g_local.shape))
-    names = [*(term.name for term in terms), "prior"]
     status = [Status.FINISHED if np.isfinite(energy) else Status.INVISIBLE for energy in least]
-    evaluations = B * len(T_cam_hand) * (iterations + 1)
-    return Solution(best, least, dict(zip(names, values.T, strict=True)), status, evaluations)
+    return Solution(best, least, _name_terms(terms, values), status, B * len(T_cam_hand) * (iterations + 1))
 
 
 def energy_gradient(

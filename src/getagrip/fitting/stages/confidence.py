@@ -1,18 +1,16 @@
-"""Judge a result without ground truth: its checks, its signs, and how probable it is that it is right.
+"""Confidence in a result without ground truth: measures for its checks, and the probability that its poses are right.
 
-Pose spread: the standard deviation that the energy leaves of the object's pose.
-
-The Gauss-Newton covariance of what all frames share (base pose, axis, scale), each frame's own at their best:
+**Pose spread** is the standard deviation of the object's pose by the energy's curvature: the Gauss-Newton covariance of
+the parameters that all frames share (base pose, axis, scale), with each frame's own parameters at their optimum,
 
     S = noise inverse(sum_n H_ss - H_sl inverse(H_ll) H_ls),   noise = E_mask of a frame
 
-E_mask in place of the variance of an observation is a rule of thumb: contours that are met badly tell less. What ties
-frames to each other is left out. It knows nothing of minima elsewhere, nor of a hand or mesh that is wrong.
+E_mask in place of an observation's variance is a rule of thumb: badly met contours tell less. Hessians between frames,
+other minima, and errors of hand and mesh are left out.
 
-Scale check: whether the energy prefers another scale than the known one.
-
-From the solution on, a few iterations are made with a free scale. If mesh, hand and camera agree in size, the energy
-hardly falls: contact with the hand determines the depth, and depth and masks determine the size.
+**Scale check**: does the energy prefer another scale than the known one? A few iterations continue from the solution
+with a free scale. If mesh, hand and camera agree in size, the energy hardly falls: contact with the hand determines the
+depth, and depth and masks determine the size.
 """
 
 from __future__ import annotations
@@ -38,27 +36,99 @@ from getagrip.checks.calibration import (
 from getagrip.checks.features import was_corrected
 from getagrip.clip import Clip
 from getagrip.fitting.energy.mask import MASK_CROP_SIZE_PX
+from getagrip.fitting.hand.hand_solution import rigid_point_jacobian
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solver.category_prior import opening_angle
 from getagrip.fitting.solver.solve import hessian, minimise
 from getagrip.fitting.stages.mesh_deformation import relative_contour_error
 from getagrip.fitting.stages.remaining_frames import SolutionTrack
-from getagrip.geometry import se3
 from getagrip.least_squares import BlockArrow
 from getagrip.provenance import is_assumed, kind_of_hands
 from getagrip.result import Candidates
 from getagrip.result.findings import ASSUMED_MESH, Finding, Probability
 
 MIN_RELATIVE_CERTAINTY = 1e-6
-"""Least certainty of a direction that the energy does not see (the spin of a bottle), as a share of the most
-certain."""
+"""Minimum certainty of a direction that leaves the energy unchanged (a bottle's spin), in that of the most certain."""
+SCALE_CHECK_LEVEL_PX, SCALE_CHECK_ITERATIONS = 128, 8
+"""Resolution [px] and iterations of the fit with a free scale."""
+CALIBRATION_NEUTRAL_OPTIONS = (
+    "method", "inits", "init", "priors", "priors_only", "thorough", "seed", "frames", "every_frame",
+)  # fmt: skip
+"""Options that leave a calibration valid; it was made with the default values of all options."""
+CALIBRATED_TERMS = (
+    "total", "mask", "push", "pull", "consistency", "prior", "hand-mask", "joints-2d", "depth",
+    "order", "size", "upright", "opening",
+)  # fmt: skip
+"""Names of the calibrated energy's terms. The last four count only for assumed inputs, such as the object's category,
+which the calibration did not have; its probability is carried over to them."""
+HAND_ALTERNATIVE_DISTANCE = 0.14
+"""Distance by which alternatives of a hand move the object in it [diameters]; a pose is right within 0.1. Chosen on
+training clips."""
+UNCALIBRATED_DEPTH_FINDINGS = "depth-elsewhere", "depth-misfit", "depth-warped"
+"""Findings that nearly no result of the calibration had: with them no fraction of right results can be promised."""
+ESTIMATED_HAND_SPREAD_M = 0.03
+"""Standard deviation of an object in an estimated hand that was not solved with it [m], as measured (docs/datasets.md).
+"""
+
+
+def solved_of(
+    input_clip: Clip, problem: Problem, found: MethodResult, sampled: SolutionTrack, whole: SolutionTrack
+) -> SolvedEvidence:
+    """Collect a result's measures for its checks and signs.
+
+    ``input_clip`` has the input hand and mesh; ``sampled`` and ``whole`` are the poses in the sampled frames and in
+    every frame.
+    """
+    scale = float(found.poses.scale[0])
+    deformed = 0.0 if found.warp is None else found.warp.displacement(input_clip.mesh)
+    joints = problem.refinement and problem.refinement.joints
+    return SolvedEvidence(
+        problem.clip, problem.input_masks, sampled.T_hand_obj[0], scale, whole.iou,
+        iou_frames=whole.frames, outliers=whole.outliers,
+        deformed=deformed / input_clip.mesh.diameter, deformed_mm=1e3 * scale * deformed,
+        candidates=Candidates(sampled.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
+        hand_differing=problem.trust.hand_differing, joints_left_out=problem.trust.joints_left_out,
+        T_cam_hand_input=input_clip.hand.T_cam_hand[input_clip.index_of(problem.clip.frames)],
+        misfit=relative_contour_error(problem.observation, found.terms["mask"] / len(problem.clip)),
+        spread=pose_spread(problem, found), hand_spread=_hand_spread(input_clip, problem, found),
+        scale_check=scale_check(problem, found), joint_error=joints.size if joints else float("nan"),
+        turned_away=opening_angle(problem.clip, sampled.T_hand_obj[0]),
+    )  # fmt: skip
+
+
+def _hand_spread(clip: Clip, problem: Problem, found: MethodResult) -> float:
+    """Compute the standard deviation of the object in the hand by the hand's errors [m]."""
+    if found.hand is None:
+        return 0.0 if kind_of_hands(clip.provenance) == "measured" else ESTIMATED_HAND_SPREAD_M
+    return found.hand.spread(_object_points_in_hand(problem, found) - _hand_centre(problem))
+
+
+def hand_alternatives(problem: Problem, found: MethodResult) -> Float[ndarray, "M 4 4"] | None:
+    """Return the alternative hand poses of a hand that was solved with the object; None of another hand."""
+    if found.hand is None:
+        return None
+    middle = _hand_centre(problem)
+    apart = HAND_ALTERNATIVE_DISTANCE * float(found.poses.scale[0]) * problem.surface.diameter
+    return found.hand.alternatives(_object_points_in_hand(problem, found) - middle, middle, apart)
+
+
+def _hand_centre(problem: Problem) -> Float[ndarray, "3"]:
+    """Return the point that the solved hand turns about, in the hand [m]."""
+    assert problem.refinement is not None
+    return problem.refinement.seen.errors.tracked.vertices.mean(axis=(0, 1))
+
+
+def _object_points_in_hand(problem: Problem, found: MethodResult) -> Float[ndarray, "P 3"]:
+    """Return points of the object's surface in the hand, at the middle frame [m]."""
+    n, scale = len(problem.clip) // 2, float(found.poses.scale[0])
+    return scale * problem.surface.points @ found.poses.R[0, n].T + found.poses.centre[0, n]
 
 
 def pose_spread(problem: Problem, found: MethodResult) -> float:
-    """Compute the spread of the best solution: root mean square over the surface, in diameters, in the middle frame.
+    """Compute the spread of the best solution in the middle frame, root mean square over the surface [diameters].
 
-    NaN for a method that has no motion of its own, and for one whose frames share nothing.
+    NaN of a method without a motion model, or whose frames share no parameters.
     """
     if found.motion is None or found.energy_of is None:
         return float("nan")
@@ -72,33 +142,20 @@ def pose_spread(problem: Problem, found: MethodResult) -> float:
     arrow = BlockArrow.of(H, np.zeros(H.shape[:-1]), slice(S), slice(S, None))
     arrow = arrow.plus(H_ll=prior.H + MIN_RELATIVE_CERTAINTY * np.eye(H.shape[-1] - S))
     certain, directions = np.linalg.eigh(arrow.reduced()[0])
-    if not certain[-1] > 0.0:  # no contour and no contact tells anything
+    if not certain[-1] > 0.0:  # neither contour nor contact
         return float("nan")
     spread = directions / np.sqrt(np.maximum(certain, MIN_RELATIVE_CERTAINTY * certain[-1]))
     noise = found.terms["mask"] / len(frames)
     middle, scale = len(frames) // 2, float(found.poses.scale[0])
-    moved = (
-        _surface_jacobian(scale * problem.surface.points @ found.poses.R[0, middle].T) @ J_shared[0, middle] @ spread
-    )
+    x = scale * problem.surface.points @ found.poses.R[0, middle].T
+    moved = np.concatenate([rigid_point_jacobian(x), x[..., None]], axis=-1) @ J_shared[0, middle] @ spread
     return float(np.sqrt(noise * np.mean(np.sum(moved**2, axis=(1, 2)))) / (scale * problem.surface.diameter))
 
 
-def _surface_jacobian(x: Float[ndarray, "P 3"]) -> Float[ndarray, "P 3 7"]:
-    """How points about the object's centre move with its local 7-vector."""
-    shift = np.broadcast_to(np.eye(3), (len(x), 3, 3))
-    return np.concatenate([shift, -se3.hat(x), x[..., None]], axis=-1)
-
-
-SCALE_CHECK_LEVEL_PX, SCALE_CHECK_ITERATIONS = 128, 8
-"""Resolution [px] and iterations of the fit."""
-
-
 def scale_check(problem: Problem, found: MethodResult) -> tuple[float, float]:
-    """Check whether the energy prefers another scale, in a few iterations with a free scale.
+    """Return the factor on the scale that the energy prefers, and the fraction of energy that the factor saves.
 
-    Return the factor that the energy prefers, and the share of energy that it saves.
-
-    NaN where the scale was free, and for a method that has no motion of its own.
+    NaN where the scale was free, and of a method without a motion model.
     """
     if found.motion is None or found.energy_of is None or problem.clip.scale == "free":
         return float("nan"), float("nan")
@@ -110,107 +167,18 @@ def scale_check(problem: Problem, found: MethodResult) -> tuple[float, float]:
     return factor, (before - float(after.energy[0])) / max(abs(before), 1e-9)
 
 
-CALIBRATION_NEUTRAL_OPTIONS = (
-    "method",
-    "inits",
-    "init",
-    "priors",
-    "priors_only",
-    "thorough",
-    "seed",
-    "frames",
-    "every_frame",
-)
-"""Options that leave a calibration valid; it was made with the usual values of all."""
-CALIBRATED_TERMS = (
-    "total", "mask", "push", "pull", "consistency", "prior", "hand-mask", "joints-2d", "depth",
-    "order", "size", "upright", "opening",
-)  # fmt: skip
-"""Names in the energy that was calibrated; the last four count only for inputs that are assumed, as which kind of
-object it is, of which there were none, so that its probability is carried over to them."""
-HAND_ALTERNATIVE_DISTANCE = 0.14
-"""Distance by which alternatives of a hand move the object in it [diameters]; a pose is right within 0.1. Chosen on
-training clips."""
-UNCALIBRATED_DEPTH_FINDINGS = "depth-elsewhere", "depth-misfit", "depth-warped"
-"""Findings that next to no result of the calibration had: with them no share of right results can be promised."""
-ESTIMATED_HAND_SPREAD_M = 0.03
-"""Spread of an object in an estimated hand that was not solved with it [m]: the measured errors (docs/datasets.md)."""
-
-
-def solved_of(
-    input_clip: Clip, problem: Problem, found: MethodResult, sampled: SolutionTrack, whole: SolutionTrack
-) -> SolvedEvidence:
-    """Make the view of a result for its checks and signs.
-
-    ``input_clip`` has the hand and the mesh as they came; ``sampled`` and ``whole`` are the poses in the frames that
-    were fitted together and in every frame.
-    """
-    scale = float(found.poses.scale[0])
-    deformed = 0.0 if found.warp is None else found.warp.displacement(input_clip.mesh)
-    return SolvedEvidence(
-        problem.clip, problem.input_masks, sampled.T_hand_obj[0], scale, whole.iou,
-        iou_frames=whole.frames, outliers=whole.outliers,
-        deformed=deformed / input_clip.mesh.diameter, deformed_mm=1e3 * scale * deformed,
-        candidates=Candidates(sampled.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
-        hand_differing=problem.trust.hand_differing, joints_left_out=problem.trust.joints_left_out,
-        T_cam_hand_input=input_clip.hand.T_cam_hand[input_clip.index_of(problem.clip.frames)],
-        misfit=relative_contour_error(problem.observation, found.terms["mask"] / len(problem.clip)),
-        spread=pose_spread(problem, found), hand_spread=_hand_spread(input_clip, problem, found),
-        scale_check=scale_check(problem, found), joint_error=_joint_error(problem),
-        turned_away=opening_angle(problem.clip, sampled.T_hand_obj[0]),
-    )  # fmt: skip
-
-
-def _hand_spread(clip: Clip, problem: Problem, found: MethodResult) -> float:
-    """Compute the standard deviation of the object in the hand that the hand's errors leave [m]."""
-    if found.hand is None:
-        return 0.0 if kind_of_hands(clip.provenance) == "measured" else ESTIMATED_HAND_SPREAD_M
-    return found.hand.spread(_object_points_in_hand(problem, found) - _hand_centre(problem))
-
-
-def hand_alternatives(problem: Problem, found: MethodResult) -> Float[ndarray, "M 4 4"] | None:
-    """Return where a hand that was solved with the object may be instead; None of another."""
-    if found.hand is None:
-        return None
-    middle = _hand_centre(problem)
-    apart = HAND_ALTERNATIVE_DISTANCE * float(found.poses.scale[0]) * problem.surface.diameter
-    return found.hand.alternatives(_object_points_in_hand(problem, found) - middle, middle, apart)
-
-
-def _hand_centre(problem: Problem) -> Float[ndarray, "3"]:
-    """Return the point that a hand was solved about, in the hand [m]."""
-    assert problem.refinement is not None
-    return problem.refinement.seen.errors.tracked.vertices.mean(axis=(0, 1))
-
-
-def _object_points_in_hand(problem: Problem, found: MethodResult) -> Float[ndarray, "P 3"]:
-    """Return points of the object's surface in the hand, in the middle frame [m]."""
-    n, scale = len(problem.clip) // 2, float(found.poses.scale[0])
-    return scale * problem.surface.points @ found.poses.R[0, n].T + found.poses.centre[0, n]
-
-
-def _joint_error(problem: Problem) -> float:
-    """Return the error of the joints that moved the hand; NaN where none did."""
-    joints = None if problem.refinement is None else problem.refinement.joints
-    return float("nan") if joints is None else joints.size
-
-
 def probabilities(
-    clip: Clip,
-    options: Options,
-    signs: Mapping[str, float],
-    findings: Sequence[Finding],
-    terms: Collection[str],
+    clip: Clip, options: Options, signs: Mapping[str, float], findings: Sequence[Finding], terms: Collection[str]
 ) -> dict[Where, Probability | None]:
     """Compute the probability that a result is right, in the hand and in the camera.
 
-    ``terms`` are those of its energy and of its hand's.
+    ``terms`` are the names in its energy and in its hand's.
     """
     hands, depth = kind_of_hands(clip.provenance), signs.get("depth-images", 0.0)
     kind = kind_of_input(hands, terms, depth, was_corrected(signs))
     found = {where: probability_right(options, signs, findings, where, terms, kind) for where in get_args(Where)}
     beyond = [finding.check for finding in findings if finding.check in UNCALIBRATED_DEPTH_FINDINGS]
-    if hands != "measured" and is_assumed(clip.provenance.get("mesh")):  # these were calibrated on exact meshes
+    if hands != "measured" and is_assumed(clip.provenance.get("mesh")):  # calibrated on exact meshes only
         beyond.insert(0, ASSUMED_MESH)
     if beyond:
         kept = (right and replace(right, beyond=(*beyond, *right.beyond)) for right in found.values())
@@ -230,27 +198,25 @@ def probability_right(
     terms: Collection[str] = (),
     kind: InputKind | None = None,
 ) -> Probability | None:
-    """Compute the probability that a result with such signs is right.
+    """Compute the probability that a result with these signs is right; None if uncalibrated (``uncalibrated_reason``).
 
-    ``findings`` are those about its input and itself, ``kind`` is that of its input; by default its hands are measured.
-
-    None where nothing is calibrated (``uncalibrated_reason``).
+    ``findings`` are about the input and the result, ``kind`` is the input's; by default its hands are measured.
     """
     kind = kind or kind_of_input("measured", terms, 0.0, was_corrected(signs))
     calibrations = {"measured": CALIBRATIONS, "corrected": CORRECTED_CALIBRATIONS}.get(kind, ESTIMATED_CALIBRATIONS)
     calibration = calibrations.get((options.method, where))
     if calibration is None or uncalibrated_reason(options, findings, terms):
         return None
-    if not signs.keys() >= calibration.weights.keys():  # of a motion of one's own
+    if not signs.keys() >= calibration.weights.keys():  # the signs of a user's own motion
         return None
     return calibration.probability(signs)
 
 
 def uncalibrated_reason(options: Options, findings: Sequence[Finding], terms: Iterable[str] = ()) -> str:
-    """Say why there is no probability that a result is right; empty where there is one.
+    """Explain why a result has no probability of being right; empty where it has one.
 
-    There is none for methods and energies (``terms``: their names) other than those that were calibrated, for shorter
-    searches, and where a finding is serious: wrong inputs were no part of the calibration.
+    Uncalibrated are other methods and energies (``terms``: names), shorter searches, and serious findings: the
+    calibration had no wrong inputs.
     """
     if not any(method == options.method for method, _ in CALIBRATIONS):
         return f"none is calibrated for {options.method}"
@@ -259,10 +225,8 @@ def uncalibrated_reason(options: Options, findings: Sequence[Finding], terms: It
     if options.priors_only:
         return "none is calibrated without uniform rotations among the initial poses"
     for option in fields(Options):
-        if (
-            option.name not in CALIBRATION_NEUTRAL_OPTIONS
-            and (value := getattr(options, option.name)) != option.default
-        ):
+        value = getattr(options, option.name)
+        if option.name not in CALIBRATION_NEUTRAL_OPTIONS and value != option.default:
             return f"none is calibrated with {option.name} {value}"
     if others := [name for name in terms if name not in CALIBRATED_TERMS]:
         return f"none is calibrated with the evidence {', '.join(others)}"

@@ -1,14 +1,12 @@
-"""Mesh fit: the shape of an object that has only a mesh of its category, from the silhouettes of all frames.
+"""Mesh fit: the shape of an object that has only a template mesh, from the silhouettes of all frames.
 
-A CAD of the category leaves contours that no pose explains, and the search ends at a pose whose wrong contours are a
-little better. So after the coarse stages the mesh may be warped: stretched, sheared, tapered and bent (``Warp``), by
-the same E_mask as the poses, under a prior. Whether the mesh is the object's own, the masks say: if it is, they are
-explained already, or, where masks or hands are off, another shape explains them hardly better.
+A template mesh leaves contours that no pose explains, and the search ends at a pose whose wrong contours are a little
+better. So after the coarse stages the mesh may be warped: stretched, sheared, tapered and bent (``Warp``), by the same
+E_mask as the poses, under a prior. The masks tell whether the mesh is the object's own: if so, they are explained
+already, or, where masks or hands are off, another shape explains them hardly better.
 
-Misfit: how much worse the masks are explained than by the object's own mesh; it stiffens the motion.
-
-With a mesh of the category instead of the object's own, contours remain that no pose explains, and deviations bend the
-motion to fit them. So deviations cost more the worse the masks are explained, unless the shape is fitted (``shape``).
+Where the mesh is not fitted, the motion gets stiffer with the misfit: how much worse the masks are explained than by
+the object's own mesh. Else deviations would bend the motion to fit contours that no pose explains.
 """
 
 from __future__ import annotations
@@ -31,17 +29,36 @@ from getagrip.geometry.warp import Warp, remove_similarity
 from getagrip.least_squares import BlockArrow
 
 IMAGE_CONTOUR_ERROR_PX, CROP_CONTOUR_ERROR_PX = 0.4, 0.15
-"""Mean distance between the contour of the object's own mesh and that of a mask: pixels of the image, plus pixels of
-the crop. Right grasps of DexYCB's training subjects have 0.4 to 0.75 times as much (docs/method.md).
-"""
+"""Mean distance between the contours of the object's own mesh and of a mask: pixels of the image, plus pixels of the
+crop. Right grasps of DexYCB's training subjects have 0.4 to 0.75 times as much (docs/method.md)."""
 STIFFNESS_EXPONENT = 3.0
-"""Stiffness grows with this power of the misfit; 4 held measured motions too stiffly."""
+"""Power of the misfit that stiffness is multiplied by; 4 was too stiff for measured motions."""
+MIN_MESH_MISFIT = 1.2
+"""Misfit (``relative_contour_error``) from which on a mesh is fitted."""
+MAX_SHAPE_ENERGY_RATIO = 0.85
+"""Maximum energy of a fitted shape, in that of the input mesh, which else stays. On 26 training clips of DexYCB, under
+each of four errors of hands, masks and size, at most one own mesh met this condition and the one on the misfit."""
+MIN_DEFORMATION_DIAMETERS = 0.008
+"""Minimum displacement of a fitted shape [diameters]: below it a better pose explains the masks, and not the shape. Of
+111 other objects on training clips the fitted shape of 5 was below it."""
+SHAPE_FIT_LEVEL_PX, MAX_SHAPE_ITERATIONS = 128, 12
+"""Resolution [px] and maximum number of iterations of the fit."""
+STRETCH_SIGMA, BEND_SIGMA = 0.1, 0.05
+"""Standard deviations of the prior, of stretches and of all other modes, as displacements at half a diameter from the
+middle [half diameters]."""
+SHAPE_PRIOR_WEIGHT = 5.0
+"""Energy of one standard deviation in each frame, times 1/2 [px^2]. Between 2 and 20 little changes; 200 is too stiff.
+"""
+MIN_WARP_EXPANSION = 0.1
+"""Minimum factor on volumes: a warp that shrinks a part of space further, or turns it inside out, is no shape."""
+KNOWN_SIZE_STIFFNESS = 100.0
+"""Factor on the prior's stiffness of the object's size, the mean of the three stretches, where the size is known."""
 
 
 def relative_contour_error(observation: Observation, mask: float) -> float:
-    """Compute the mean distance of contours from those of the masks, relative to that of the object's own mesh.
+    """Compute the misfit: mean distance of contours from the masks', as a multiple of the object's own mesh's.
 
-    ``mask`` is the mean E_mask of a frame [px^2 of the crop], that distance times the visible length.
+    ``mask`` is the mean E_mask of a frame [px^2 of the crop]: the mean distance times the visible length.
     """
     length = float(observation.targets[..., 4].sum(axis=1).mean())
     expected = IMAGE_CONTOUR_ERROR_PX * observation.crops.zoom + CROP_CONTOUR_ERROR_PX
@@ -49,35 +66,13 @@ def relative_contour_error(observation: Observation, mask: float) -> float:
 
 
 def stiffen_ridge(ridge: tuple[float, float], times: float) -> tuple[float, float]:
-    """Return the stiffness of deviations at a misfit of ``times``: unchanged up to one."""
+    """Return the stiffness of deviations at a misfit of ``times``; unchanged up to 1."""
     factor = float(np.maximum(times, 1.0) ** STIFFNESS_EXPONENT)
     return ridge[0] * factor, ridge[1] * factor
 
 
-MIN_MESH_MISFIT = 1.2
-"""A mesh is fitted if its misfit (``misfit``) is above this,"""
-MAX_SHAPE_ENERGY_RATIO = 0.85
-"""and stays as it is unless another shape has at most this share of the energy. On 26 training clips of DexYCB,
-under each of four errors of hands, masks and size, at most one own mesh met both conditions."""
-MIN_DEFORMATION_DIAMETERS = 0.008
-"""A shape that is nearer to the mesh [diameters] is the mesh's own: what explains the masks better is the pose. Of 111
-other objects on training clips the fitted shape of 5 was that near."""
-SHAPE_FIT_LEVEL_PX, MAX_SHAPE_ITERATIONS = 128, 12
-"""Resolution [px] and most iterations of the fit."""
-STRETCH_SIGMA, BEND_SIGMA = 0.1, 0.05
-"""Standard deviations of the prior: of stretches, and of all else, as displacements at half a diameter from the middle,
-in these."""
-SHAPE_PRIOR_WEIGHT = 5.0
-"""Energy of one standard deviation in each frame, times 1/2 [px^2]. Between 2 and 20 little changes; 200 hold too much.
-"""
-MIN_WARP_EXPANSION = 0.1
-"""A warp that shrinks some part of space to less than this, or turns it inside out, is no shape."""
-KNOWN_SIZE_STIFFNESS = 100.0
-"""Times as stiff is the prior of the object's size, the mean of the three stretches, where the size is known."""
-
-
 def _deformation_modes() -> Float[ndarray, "24 27"]:
-    """Displacements that are no rotation: by symmetric matrices, and by each second-degree monomial along each axis."""
+    """Build the displacements without rotations: by symmetric matrices, and by second-degree monomials per axis."""
     modes = []
     for i in range(3):
         for j in range(i, 3):
@@ -98,7 +93,7 @@ class _ShapeState:
 
     motion: Soft[Fixed]
     weights: Float[ndarray, "B 24"]
-    """How much of each mode."""
+    """Weights of the modes."""
     term: MaskByShape
     stiffness: Float[ndarray, "24 24"]
     T_cam_hand: Float[ndarray, "N 4 4"]
@@ -145,32 +140,26 @@ class _ShapeState:
 
 
 def fit_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], misfit: float) -> Warp | None:
-    """Fit the mesh to the masks, from hypotheses in some frames of the problem.
+    """Fit the mesh to the masks, from hypotheses in some frames of the problem, at the misfit of the best.
 
-    ``misfit`` is how far off the best of them leaves the contours. None where the mesh stays as it is.
+    None where the mesh stays unchanged.
     """
     if misfit < MIN_MESH_MISFIT:
         return None
     mesh, observation = problem.clip.mesh, problem.observation.take(index)
     coarse, radius = problem.surface.coarse, problem.surface.diameter / 2.0
-    seen = (
-        observation,
-        SHAPE_FIT_LEVEL_PX,
-        MASK_STEP_PX[SHAPE_FIT_LEVEL_PX],
-        MIN_CURVATURE_DISTANCE_PX[SHAPE_FIT_LEVEL_PX],
-    )
+    level = SHAPE_FIT_LEVEL_PX
+    seen = observation, level, MASK_STEP_PX[level], MIN_CURVATURE_DISTANCE_PX[level]
     kind = unmeasured_kind(problem.clip)
     stretch = STRETCH_SIGMA if kind is None or kind.stretch is None else kind.stretch
     bend = BEND_SIGMA if kind is None or kind.bend is None else kind.bend
     T_cam_hand = problem.clip.hand.T_cam_hand[index]
     stiffness = len(index) * _shape_stiffness(stretch, bend, problem.clip.scale == "known")
-    undeformed = minimise(
-        motion, [MaskTerm(SilhouetteMesh.of(coarse, mesh.centre), *seen)], T_cam_hand, MAX_SHAPE_ITERATIONS
-    )
+    mask = MaskTerm(SilhouetteMesh.of(coarse, mesh.centre), *seen)
+    by_shape = MaskByShape(coarse, mesh.centre, radius, *seen)
+    undeformed = minimise(motion, [mask], T_cam_hand, MAX_SHAPE_ITERATIONS)
     start = np.zeros((len(undeformed.energy), len(DEFORMATION_MODES)))
-    begun = _ShapeState(
-        undeformed.motion, start, MaskByShape(coarse, mesh.centre, radius, *seen), stiffness, T_cam_hand
-    )
+    begun = _ShapeState(undeformed.motion, start, by_shape, stiffness, T_cam_hand)
     warped = least_squares.minimise(begun, MAX_SHAPE_ITERATIONS).state
     best = int(warped.cost.argmin())
     if not warped.cost[best] < MAX_SHAPE_ENERGY_RATIO * undeformed.energy.min():

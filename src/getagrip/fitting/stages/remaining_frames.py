@@ -1,9 +1,9 @@
 """Extend a fit of the sampled frames to every frame of the clip.
 
-The parameters that frames share (axis, base pose, scale) stay fixed. In the other frames that show the object, the
-parameters of the frame (angle, deviations) start between its neighbours and are fitted to the frame's mask, and to
-the neighbours: the object moves little in the hand from one frame to the next. Where no mask shows the object, it is an
-outlier, or the method has no motion model for other frames, poses are interpolated.
+The parameters that frames share (axis, base pose, scale) stay fixed. In other frames whose masks show the object, the
+frame's own parameters (angle, deviations) start between its neighbours' and are fitted to the frame's mask, and to the
+neighbours: the object moves little in the hand from one frame to the next. Poses are interpolated where no mask shows
+the object, where the mask is an outlier, and for methods without a motion model.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from getagrip.geometry import se3
 from getagrip.result import FrameKind
 
 FIT_CHUNK_FRAMES = 30
-"""Number of other frames that are read and fitted at once."""
+"""Number of frames that are read and fitted at once."""
 REMAINING_FRAMES_STAGES = ((128, 5), (256, 5))
-"""Resolution [px] and iterations of their fit."""
+"""Resolution [px] and iterations of each stage of the fit."""
 BENDING_WEIGHT = 1e6
-"""Energy of a motion in the hand that bends [px^2 per (m per frame^2)^2], times what the misfit is above 1: masks that
-the object's own mesh meets tell each pose better than its neighbours do. Chosen on a video of a mug."""
+"""Energy of a bending motion in the hand [px^2 per (m per frame^2)^2], multiplied by the misfit minus 1: masks that the
+object's own mesh meets determine each pose better than its neighbours do. Chosen on a video of a mug."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,12 @@ class SolutionTrack:
 
     Attributes:
         frames: names of the frames.
-        kind: how each frame's pose was found.
+        kind: kind of each frame's pose: sampled, fitted or interpolated.
         T_cam_hand: (T, 4, 4) poses of the hand, which ``T_hand_obj`` are relative to.
         T_hand_obj: (K, T, 4, 4) poses of the mesh's own frame in the hand frame.
         angle: (T,) angle about the axis of the best [rad], where the method has one.
-        iou: (T,) overlap of the best with the masks (``image_iou``); NaN where no mask shows the object, or
-            the mask is an outlier.
+        iou: (T,) overlap of the best with the masks (``image_iou``); NaN where no mask shows the object, or the mask is
+            an outlier.
         outliers: names of the frames with outlier masks.
     """
 
@@ -61,7 +61,7 @@ class SolutionTrack:
 
 
 def at_sampled_frames(problem: Problem, found: MethodResult) -> SolutionTrack:
-    """Return a method's solutions as they are."""
+    """Return a method's solutions in the sampled frames."""
     clip = problem.clip
     T_hand_obj = hand_object_transforms(found.poses, clip.mesh.centre)
     iou = image_iou(clip, problem.masks, T_hand_obj[0], float(found.poses.scale[0]))
@@ -71,10 +71,10 @@ def at_sampled_frames(problem: Problem, found: MethodResult) -> SolutionTrack:
 
 
 def extend_to_every_frame(clip: Clip, problem: Problem, found: MethodResult, track: SolutionTrack) -> SolutionTrack:
-    """Extend a method's solutions to every frame of the clip; in the problem's frames, those of ``track`` stay.
+    """Extend a method's solutions to every frame of the clip; ``track`` stays in the problem's frames.
 
-    Masks beyond the outlier threshold of the problem's frames are outliers, too (``Trust.outlier_threshold``).
-    Masks that the clip does not have in memory are read from its folder, a few at a time.
+    Masks beyond ``Trust.outlier_threshold`` are outliers as well. Masks that the clip does not have in memory are read
+    from its folder, a few at a time.
     """
     sampled = clip.index_of(problem.clip.frames)
     clip = problem.with_hand_found(clip)
@@ -86,9 +86,9 @@ def extend_to_every_frame(clip: Clip, problem: Problem, found: MethodResult, tra
     R[:, sampled], centre[:, sampled], known[sampled], iou[sampled] = found.poses.R, found.poses.centre, True, track.iou
     if track.angle is not None:
         angle[sampled] = track.angle
-    predicted = (
-        NeighbourPrediction.by(problem, found.poses, sampled) if np.isfinite(problem.trust.outlier_threshold) else None
-    )
+    predicted = None
+    if np.isfinite(problem.trust.outlier_threshold):
+        predicted = NeighbourPrediction.by(problem, found.poses, sampled)
     times = relative_contour_error(problem.observation, found.terms.get("mask", 0.0) / len(sampled))
     smooth = BENDING_WEIGHT * max(0.0, times - 1.0)
     shown = np.flatnonzero([name not in {*problem.clip.left_out, *outliers} for name in clip.frames])
@@ -99,8 +99,9 @@ def extend_to_every_frame(clip: Clip, problem: Problem, found: MethodResult, tra
             near = PosesInHand(R[:, at], centre[:, at], found.poses.scale)
             beside = partial(_bending_term, part, index, near, at, smooth) if smooth > 0.0 else None
             fitted = fit_frame_parameters(part, found, sampled, index, beside)
-            poses = fitted.poses()
-            angle[index] = _angles_of_best(fitted)
+            poses, angles = fitted.poses(), fitted.angles()
+            if angles is not None:
+                angle[index] = angles[0]
             for n in index:
                 kind[n] = "fitted"
         else:
@@ -108,19 +109,19 @@ def extend_to_every_frame(clip: Clip, problem: Problem, found: MethodResult, tra
         R[:, index], centre[:, index], known[index] = poses.R, poses.centre, True
         iou[index] = image_iou(part.clip, part.masks, hand_object_transforms(poses, clip.mesh.centre)[0], scale)
     outliers += [clip.frames[n] for n in others[~known[others]]]
-    rest, there = np.flatnonzero(~known), np.flatnonzero(known)
-    poses = interpolate_object_poses(PosesInHand(R[:, there], centre[:, there], found.poses.scale), there, rest)
+    rest, solved = np.flatnonzero(~known), np.flatnonzero(known)
+    poses = interpolate_object_poses(PosesInHand(R[:, solved], centre[:, solved], found.poses.scale), solved, rest)
     R[:, rest], centre[:, rest] = poses.R, poses.centre
     T_hand_obj = hand_object_transforms(PosesInHand(R, centre, found.poses.scale), clip.mesh.centre)
     T_hand_obj[:, sampled] = track.T_hand_obj
     for n in sampled:
         kind[n] = "sampled"
     names = tuple(name for name in clip.frames if name in outliers)
-    if track.angle is None:
-        return SolutionTrack(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, None, iou, names)
-    seen = ~np.isnan(angle)
-    angle[~seen] = np.interp(np.flatnonzero(~seen), np.flatnonzero(seen), angle[seen])
-    return SolutionTrack(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, angle, iou, names)
+    if track.angle is not None:
+        seen = ~np.isnan(angle)
+        angle[~seen] = np.interp(np.flatnonzero(~seen), np.flatnonzero(seen), angle[seen])
+    shown_angle = None if track.angle is None else angle
+    return SolutionTrack(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, shown_angle, iou, names)
 
 
 def fit_frame_parameters(
@@ -130,26 +131,20 @@ def fit_frame_parameters(
     index: Int[ndarray, "m"],
     beside: Callable[[int], Term] | None = None,
 ) -> Motion:
-    """Fit the motions found at the frames ``sampled`` of a clip in the problem's frames, which are at ``index``.
+    """Fit the motions of the frames ``sampled`` of a clip in the problem's frames, which are the clip's ``index``.
 
-    Only what is each frame's own is fitted; ``beside`` makes the term that ties a hypothesis to the frames
-    beside them.
+    Only each frame's own parameters are fitted; ``beside`` makes the term that ties a hypothesis to neighbouring
+    frames.
     """
     assert found.motion is not None
     assert found.energy_of is not None
     motion: Frozen[Motion] = Frozen(found.motion.resampled(sampled, index))
     energy, everywhere = found.energy_of(problem), np.arange(len(index))
     for level, iterations in REMAINING_FRAMES_STAGES if len(motion.lengths()[1]) else ():
-        terms = energy(level, everywhere)
-        fitted = [
-            minimise(
-                motion.take(np.array([k])),
-                [*terms, *([] if beside is None else [beside(k)])],
-                problem.clip.hand.T_cam_hand,
-                iterations,
-            ).motion
-            for k in range(len(motion.poses().scale))
-        ]
+        terms, fitted = energy(level, everywhere), []
+        for k in range(len(motion.poses().scale)):
+            tied = [*terms, *([] if beside is None else [beside(k)])]
+            fitted.append(minimise(motion.take(np.array([k])), tied, problem.clip.hand.T_cam_hand, iterations).motion)
         motion = reduce(Frozen.concatenate, fitted)
     return motion.core
 
@@ -168,7 +163,7 @@ def _bending_term(
     weight: float,
     hypothesis: int,
 ) -> Term:
-    """Return the term by which the object's motion in the hand bends little, at and between known frames."""
+    """Return the term on the bending of the object's motion in the hand, at and between known frames."""
     mesh = problem.clip.mesh
     spread = vertex_moments(mesh.vertices - mesh.centre)
     term = BendingTerm(spread, weight, index, at, known.R[hypothesis], known.centre[hypothesis])
@@ -178,7 +173,7 @@ def _bending_term(
 def _chunks_of_frames(
     clip: Clip, problem: Problem, others: Int[ndarray, "n"], predicted: NeighbourPrediction | None
 ) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:
-    """Yield other frames, a few neighbours at a time, without those whose masks are outliers."""
+    """Yield other frames with their problems, a few neighbours at a time, without outlier masks."""
     for some in np.array_split(others, -(-len(others) // FIT_CHUNK_FRAMES)) if len(others) else ():
         index, part = some, problem.at(clip.take(some))
         if predicted is not None:
@@ -187,9 +182,3 @@ def _chunks_of_frames(
             part = problem.at(clip.take(index)) if wrong.any() and len(index) else part
         if len(index):
             yield index, part
-
-
-def _angles_of_best(motion: Motion) -> Float[ndarray, "T"] | float:
-    """Return the angles of the best hypothesis; NaN where the motion has no latent axis."""
-    angles = motion.angles()
-    return np.nan if angles is None else angles[0]

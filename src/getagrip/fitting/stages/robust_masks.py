@@ -1,18 +1,14 @@
-"""Predict each frame's silhouette from its neighbours, ignoring its own mask.
-
-In a grasp the object moves little in the hand from frame to frame, and smoothly before the camera. So its silhouette is
-predicted twice: from the typical pose in the hand, that of a few neighbours which is nearest to the others, and from
-the pose between the nearest other frames, in the camera frame. The first is wrong where the hand is wrong, the second
-where the motion is fast or a neighbour's mask is wrong. A frame's own pose does not count: deviations from a motion,
-and the angle about a far axis, may well follow a wrong mask.
-
-How well poses meet the masks on the full image.
-
-Outlier masks, which contradict those of other frames: another object's, half of one, or one that runs over.
+"""Outlier masks, which contradict other frames' masks: another object's, incomplete masks, or masks that run over.
 
 A mask is an outlier if it differs far more from the predicted silhouette than most masks do. The clip is fitted again
 without the outliers and all masks are compared again, until the outliers stay the same; poses in their frames are
 interpolated.
+
+A frame's silhouette is predicted from its neighbours, without its own mask: in a grasp the object moves little in the
+hand from frame to frame, and smoothly before the camera. So the silhouette is predicted twice: from the typical pose in
+the hand, the medoid of a few neighbours, and from the pose interpolated between the nearest other frames, in the camera
+frame. The first is wrong where the hand is wrong, the second where the motion is fast or a neighbour's mask is wrong. A
+frame's own pose does not count: deviations from a motion, and the angle about a far axis, may well follow a wrong mask.
 """
 
 from __future__ import annotations
@@ -28,144 +24,22 @@ from numpy import ndarray
 from getagrip.clip import Clip, Masks
 from getagrip.fitting.energy.mask import SilhouetteMesh
 from getagrip.fitting.hand.hand_solution import interpolate_solved_hand
-from getagrip.fitting.motion import (
-    Free,
-    PosesInHand,
-    hand_object_transforms,
-    interpolate_object_poses,
-    transform_poses,
-)
+from getagrip.fitting.motion import Free, PosesInHand, hand_object_transforms, interpolate_object_poses, transform_poses
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.geometry import se3
 from getagrip.geometry.kernels.silhouette import silhouettes, unpack
 
 RENDER_BATCH_FRAMES = 64
-"""Frames that are rendered at once: those of a long clip would fill the memory."""
-
-
-class MaskOverlap(NamedTuple):
-    """Rendered and observed object mask of each frame, on the full image [px].
-
-    Attributes:
-        both: (T,) pixels of both, outside ignored ones.
-        either: (T,) pixels of either, likewise.
-        silhouette: (T,) pixels of the rendered one, hidden or not.
-    """
-
-    both: Float[ndarray, "T"]
-    either: Float[ndarray, "T"]
-    silhouette: Float[ndarray, "T"]
-
-    @property
-    def iou(self) -> Float[ndarray, "T"]:
-        """Their IOU; 0 where there is no pixel of either."""
-        return self.both / np.maximum(self.either, 1.0)
-
-    @property
-    def differing(self) -> Float[ndarray, "T"]:
-        """Pixels of one of the two."""
-        return self.either - self.both
-
-
-def mask_overlap(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> MaskOverlap:
-    """Compute the overlap of the posed object with the masks."""
-    T_cam_obj = clip.hand.T_cam_hand @ T_hand_obj
-    K = np.stack([clip.K[:, 0, 0], clip.K[:, 1, 1], clip.K[:, 0, 2], clip.K[:, 1, 2]], axis=1)
-    width, height = clip.size
-    R, t = np.ascontiguousarray(T_cam_obj[:, :3, :3]), np.ascontiguousarray(T_cam_obj[:, :3, 3])
-    tables = SilhouetteMesh.of(clip.mesh, np.zeros(3)).tables
-    both, either, silhouette = np.empty(len(clip)), np.empty(len(clip)), np.empty(len(clip))
-    bits = np.empty((min(len(clip), RENDER_BATCH_FRAMES), height, -(-width // 64)), np.uint64)
-    for first in range(0, len(clip), RENDER_BATCH_FRAMES):
-        some = slice(first, first + RENDER_BATCH_FRAMES)
-        drawn = bits[: len(R[some])]
-        silhouettes(R[some], t[some], np.full(len(drawn), scale), *tables, K[some], drawn)
-        for n, (there, ignored) in enumerate(zip(masks.object[some], masks.ignore[some], strict=True), start=first):
-            rendered = unpack(drawn[n - first], width)
-            silhouette[n] = np.count_nonzero(rendered)
-            rendered &= there | ~ignored
-            both[n], either[n] = np.count_nonzero(rendered & there), np.count_nonzero(rendered | there)
-    return MaskOverlap(both, either, silhouette)
-
-
-def image_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Float[ndarray, "T"]:
-    """Compute the IOU of rendered and observed object mask on the full image, outside ignored pixels."""
-    return mask_overlap(clip, masks, T_hand_obj, scale).iou
-
-
+"""Number of frames that are rendered at once, to limit memory."""
 N_NEIGHBOUR_FRAMES = 6
 """Number of frames on either side, beside the frame itself, that determine the typical pose."""
-
-
-@dataclass(frozen=True)
-class NeighbourPrediction:
-    """A prediction of each frame's pose from its neighbours' poses.
-
-    Attributes:
-        typical: (1, n) the typical pose in the hand of each frame and its neighbours.
-        in_camera: (1, n) the poses of the frames, in the camera frame.
-        at: (n,) places of the frames in their clip, at least 3.
-    """
-
-    typical: PosesInHand
-    in_camera: PosesInHand
-    at: Int[ndarray, "n"]
-
-    @staticmethod
-    def by(problem: Problem, poses: PosesInHand, at: Int[ndarray, "n"]) -> NeighbourPrediction:
-        """Predict from the best of the poses in a problem's frames, which are ``at`` these places."""
-        best = poses.take(np.zeros(1, dtype=int))
-        return NeighbourPrediction(
-            medoid_poses(best, problem.surface.points), transform_poses(best, problem.clip.hand.T_cam_hand), at
-        )
-
-    def overlap(self, problem: Problem, at: Int[ndarray, "m"]) -> MaskOverlap:
-        """Compare the masks of a problem's frames, which are ``at`` these places, with the predicted silhouettes.
-
-        Of the two silhouettes, the one that differs less.
-        """
-        clip, centre, scale = problem.clip, problem.clip.mesh.centre, float(self.typical.scale[0])
-        in_hand = interpolate_object_poses(self.typical, self.at, at)
-        between = transform_poses(self.between(at), se3.inverse(clip.hand.T_cam_hand))
-        one, two = (
-            mask_overlap(clip, problem.masks, hand_object_transforms(poses, centre)[0], scale)
-            for poses in (in_hand, between)
-        )
-        first = one.differing <= two.differing
-        return MaskOverlap(*(np.where(first, x, y) for x, y in zip(one, two, strict=True)))
-
-    def between(self, at: Int[ndarray, "m"]) -> PosesInHand:
-        """Interpolate the pose in the camera frame between the nearest other frames; extrapolate it at the ends."""
-        R, centre = np.empty((1, len(at), 3, 3)), np.empty((1, len(at), 3))
-        for m, place in enumerate(at):
-            R[0, m], centre[0, m] = self._from_others(place)
-        return PosesInHand(R, centre, self.in_camera.scale)
-
-    def _from_others(self, place: int) -> tuple[Float[ndarray, "3 3"], Float[ndarray, "3"]]:
-        others = np.flatnonzero(self.at != place)
-        known = Free(self.in_camera.R[:, others], self.in_camera.centre[:, others], np.log(self.in_camera.scale))
-        found = known.resampled(self.at[others], np.array([place]))
-        return found.R[0, 0], found.centre[0, 0]
-
-
-def medoid_poses(poses: PosesInHand, points: Float[ndarray, "P 3"]) -> PosesInHand:
-    """Choose in each frame, for one hypothesis, the pose among it and its neighbours that is nearest to all of them."""
-    x = float(poses.scale[0]) * points @ np.swapaxes(poses.R[0], -1, -2) + poses.centre[0, :, None]
-    apart = np.sqrt(np.mean(np.sum((x[:, None] - x[None]) ** 2, axis=-1), axis=-1))
-    frame = np.arange(len(x))
-    near = [np.flatnonzero(np.abs(frame - n) <= N_NEIGHBOUR_FRAMES) for n in frame]
-    chosen = [some[apart[np.ix_(some, some)].sum(axis=1).argmin()] for some in near]
-    return PosesInHand(poses.R[:, chosen], poses.centre[:, chosen], poses.scale)
-
-
 MAX_OUTLIER_FITS = 4
-"""Most fits, the first one with all masks."""
+"""Maximum number of fits, the first one with all masks."""
 MIN_OUTLIER_FIT_FRAMES = 4
-"""With fewer frames, outliers cannot be determined."""
-OUTLIER_AREA_FRACTION = 0.3
-"""An outlier differs from the predicted silhouette by more than this share of the object's silhouette,"""
-OUTLIER_MEDIAN_FACTOR = 4.0
-"""and by more than this multiple of the median mask's difference. Chosen on DexYCB's training subjects."""
+"""Minimum number of frames that outliers can be determined from."""
+OUTLIER_AREA_FRACTION, OUTLIER_MEDIAN_FACTOR = 0.3, 4.0
+"""An outlier differs from the predicted silhouette by more than this fraction of the object's silhouette, and by more
+than this multiple of the median mask's difference. Chosen on DexYCB's training subjects."""
 
 
 def fit_without_outliers(problem: Problem, fit: Callable[[Problem], MethodResult]) -> tuple[Problem, MethodResult]:
@@ -199,3 +73,111 @@ def outlier_threshold(met: MaskOverlap) -> float:
     """Return the outlier threshold: the largest difference of a mask from its predicted silhouette [px]."""
     size = float(np.median(met.silhouette))
     return max(OUTLIER_AREA_FRACTION * size, OUTLIER_MEDIAN_FACTOR * float(np.median(met.differing)))
+
+
+class MaskOverlap(NamedTuple):
+    """Overlap of rendered and observed object mask in each frame, on the full image.
+
+    Attributes:
+        both: (T,) number of pixels of both, without ignored ones.
+        either: (T,) number of pixels of either, without ignored ones.
+        silhouette: (T,) number of pixels of the rendered one, hidden or not.
+    """
+
+    both: Float[ndarray, "T"]
+    either: Float[ndarray, "T"]
+    silhouette: Float[ndarray, "T"]
+
+    @property
+    def iou(self) -> Float[ndarray, "T"]:
+        """IOU of the two; 0 without a pixel of either."""
+        return self.both / np.maximum(self.either, 1.0)
+
+    @property
+    def differing(self) -> Float[ndarray, "T"]:
+        """Number of pixels of one of the two only."""
+        return self.either - self.both
+
+
+def mask_overlap(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> MaskOverlap:
+    """Compute the overlap of the posed object with the masks."""
+    T_cam_obj = clip.hand.T_cam_hand @ T_hand_obj
+    K = np.stack([clip.K[:, 0, 0], clip.K[:, 1, 1], clip.K[:, 0, 2], clip.K[:, 1, 2]], axis=1)
+    width, height = clip.size
+    R, t = np.ascontiguousarray(T_cam_obj[:, :3, :3]), np.ascontiguousarray(T_cam_obj[:, :3, 3])
+    tables = SilhouetteMesh.of(clip.mesh, np.zeros(3)).tables
+    both, either, silhouette = np.empty(len(clip)), np.empty(len(clip)), np.empty(len(clip))
+    bits = np.empty((min(len(clip), RENDER_BATCH_FRAMES), height, -(-width // 64)), np.uint64)
+    for first in range(0, len(clip), RENDER_BATCH_FRAMES):
+        some = slice(first, first + RENDER_BATCH_FRAMES)
+        drawn = bits[: len(R[some])]
+        silhouettes(R[some], t[some], np.full(len(drawn), scale), *tables, K[some], drawn)
+        for n, (observed, ignored) in enumerate(zip(masks.object[some], masks.ignore[some], strict=True), start=first):
+            rendered = unpack(drawn[n - first], width)
+            silhouette[n] = np.count_nonzero(rendered)
+            rendered &= observed | ~ignored
+            both[n], either[n] = np.count_nonzero(rendered & observed), np.count_nonzero(rendered | observed)
+    return MaskOverlap(both, either, silhouette)
+
+
+def image_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Float[ndarray, "T"]:
+    """Compute the IOU of rendered and observed object mask on the full image, outside ignored pixels."""
+    return mask_overlap(clip, masks, T_hand_obj, scale).iou
+
+
+@dataclass(frozen=True)
+class NeighbourPrediction:
+    """A prediction of each frame's pose from its neighbours' poses.
+
+    Attributes:
+        typical: (1, n) the typical pose in the hand of each frame and its neighbours.
+        in_camera: (1, n) the poses of the frames, in the camera frame.
+        at: (n,) indices of the frames in their clip, at least 3.
+    """
+
+    typical: PosesInHand
+    in_camera: PosesInHand
+    at: Int[ndarray, "n"]
+
+    @staticmethod
+    def by(problem: Problem, poses: PosesInHand, at: Int[ndarray, "n"]) -> NeighbourPrediction:
+        """Predict from the best of the poses in a problem's frames, which are the clip's frames ``at``."""
+        best = poses.take(np.zeros(1, dtype=int))
+        return NeighbourPrediction(
+            medoid_poses(best, problem.surface.points), transform_poses(best, problem.clip.hand.T_cam_hand), at
+        )
+
+    def overlap(self, problem: Problem, at: Int[ndarray, "m"]) -> MaskOverlap:
+        """Compare the masks of a problem's frames, the clip's frames ``at``, with the better predicted silhouettes."""
+        clip, centre, scale = problem.clip, problem.clip.mesh.centre, float(self.typical.scale[0])
+        in_hand = interpolate_object_poses(self.typical, self.at, at)
+        between = transform_poses(self.between(at), se3.inverse(clip.hand.T_cam_hand))
+        one, two = (
+            mask_overlap(clip, problem.masks, hand_object_transforms(poses, centre)[0], scale)
+            for poses in (in_hand, between)
+        )
+        first = one.differing <= two.differing
+        return MaskOverlap(*(np.where(first, x, y) for x, y in zip(one, two, strict=True)))
+
+    def between(self, at: Int[ndarray, "m"]) -> PosesInHand:
+        """Interpolate each frame's pose in the camera between the nearest other frames; extrapolate at the ends."""
+        R, centre = np.empty((1, len(at), 3, 3)), np.empty((1, len(at), 3))
+        for m, place in enumerate(at):
+            R[0, m], centre[0, m] = self._from_others(place)
+        return PosesInHand(R, centre, self.in_camera.scale)
+
+    def _from_others(self, place: int) -> tuple[Float[ndarray, "3 3"], Float[ndarray, "3"]]:
+        others = np.flatnonzero(self.at != place)
+        known = Free(self.in_camera.R[:, others], self.in_camera.centre[:, others], np.log(self.in_camera.scale))
+        found = known.resampled(self.at[others], np.array([place]))
+        return found.R[0, 0], found.centre[0, 0]
+
+
+def medoid_poses(poses: PosesInHand, points: Float[ndarray, "P 3"]) -> PosesInHand:
+    """Choose for each frame of one hypothesis the medoid of its pose and its neighbours' poses."""
+    x = float(poses.scale[0]) * points @ np.swapaxes(poses.R[0], -1, -2) + poses.centre[0, :, None]
+    apart = np.sqrt(np.mean(np.sum((x[:, None] - x[None]) ** 2, axis=-1), axis=-1))
+    frame = np.arange(len(x))
+    near = [np.flatnonzero(np.abs(frame - n) <= N_NEIGHBOUR_FRAMES) for n in frame]
+    chosen = [some[apart[np.ix_(some, some)].sum(axis=1).argmin()] for some in near]
+    return PosesInHand(poses.R[:, chosen], poses.centre[:, chosen], poses.scale)

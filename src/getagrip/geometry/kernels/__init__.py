@@ -1,1 +1,1 @@
-"""Compiled loops of the fit: silhouettes, contours, nearest points."""
+"""Compiled loops of the fit: silhouettes and contours, nearest points, depth."""

@@ -1,11 +1,11 @@
-"""Signed distance to a rigid mesh, quickly: a coarse grid remembers which face is near, the distance to it is exact.
+"""Fast signed distance to a rigid mesh: a coarse grid stores a near face per node, and the distance to it is exact.
 
-Fingers are never far from the object, so a grid of about 10^5 nodes around it suffices. A plain distance grid would
-round off walls thinner than its cells (a mug's, a plate's); the distance to the nearest of the faces that the nodes
-around a point remember does not. The sign is that of the pseudonormal of the face, edge or corner that is
-nearest (Baerentzen and Aanaes, "Signed Distance Computation Using the Angle Weighted Pseudonormal", 2005): by the
-faces' own normals, points far off a thin edge, a spoon's, would lie deep inside.
-``reference.signed_distance`` is the readable specification.
+Fingers are never far from the object, so a grid of about 10^5 nodes around it suffices. Interpolated distances would
+round off walls thinner than the grid's cells (a mug's, a plate's); the exact distance to the nearest of the faces
+stored at the nodes around a point does not. The sign is that of the pseudonormal of the nearest face, edge or corner
+(Baerentzen and Aanaes, "Signed Distance Computation Using the Angle Weighted Pseudonormal", 2005): by the faces' own
+normals, points far off a thin edge, a spoon's, would lie deep inside. ``signed_distance`` in tests/helpers/kernels.py
+is the readable specification.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from getagrip.compiling import kernel
 from getagrip.geometry.mesh import same_rows
 
 GRID_SLACK_SPACINGS = 0.867
-"""No point of a grid is farther from its nearest node than this many spacings."""
+"""Maximum distance of a point in the grid from its nearest node, in spacings."""
 
 
 @dataclass(frozen=True)
 class FaceGrid:
-    """Which face is near, at the nodes of a regular grid; mesh and grid in the same frame.
+    """A regular grid with the nearest face at each node; mesh and grid in the same frame.
 
     Attributes:
         corners: (F, 3, 3) corners of each face [m].
@@ -44,15 +44,12 @@ class FaceGrid:
 
     @property
     def tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-        """The fields, as the kernels take them."""
+        """The fields in the kernels' order."""
         return self.corners, self.normals, self.face, self.distance, self.origin, self.spacing
 
     @staticmethod
     def of(corners: np.ndarray, margin: float, nodes: int = 64) -> FaceGrid:
-        """Build the grid around faces (F, 3, 3).
-
-        It reaches ``margin`` beyond them and has ``nodes`` along its longest side.
-        """
+        """Build the grid around faces (F, 3, 3), with a ``margin`` [m], and ``nodes`` along its longest side."""
         corners = np.ascontiguousarray(corners)
         low, high = corners.min(axis=(0, 1)) - margin, corners.max(axis=(0, 1)) + margin
         spacing = float((high - low).max() / (nodes - 1))
@@ -71,7 +68,7 @@ class FaceGrid:
 def pseudonormals(corners: np.ndarray) -> np.ndarray:
     """Compute unit normals (F, 7, 3) at the corners, edges and inside of faces (F, 3, 3).
 
-    Those that faces share are weighted by angle.
+    Normals of shared corners and edges are averages of the faces', weighted by angle.
     """
     F = len(corners)
     vertex = same_rows(corners.reshape(-1, 3)).reshape(F, 3)
@@ -94,7 +91,7 @@ def pseudonormals(corners: np.ndarray) -> np.ndarray:
 def closest_on_face(x, y, z, t, f):
     """Find the point of face f of corners t (F, 3, 3) nearest to a point.
 
-    The last value is the part of the face that holds it (``FaceGrid.normals``). After Ericson, Real-Time Collision
+    The last value is the part of the face that contains it (``FaceGrid.normals``). After Ericson, Real-Time Collision
     Detection, 5.1.5.
     """
     ax, ay, az = t[f, 0, 0], t[f, 0, 1], t[f, 0, 2]
@@ -136,7 +133,7 @@ def closest_on_face(x, y, z, t, f):
 
 @kernel("f3 f1 f n3 t3 f3 f4")
 def _seed(corners, low, spacing, face, part, squared, point):
-    """Give the nodes next to each face their exact nearest point."""
+    """Compute the exact nearest points of the nodes next to each face."""
     begin, end = np.empty(3, np.int64), np.empty(3, np.int64)
     for f in range(len(corners)):
         for k in range(3):
@@ -159,7 +156,7 @@ def _seed(corners, low, spacing, face, part, squared, point):
 
 @kernel("f1 f n3 t3 f3 f4")
 def _spread(low, spacing, face, part, squared, point):
-    """Hand nearest points on from node to node, in eight sweeps."""
+    """Propagate nearest points from node to node, in eight sweeps."""
     nx, ny, nz = face.shape
     for sweep in range(8):
         di, dj, dk = 1 - 2 * (sweep & 1), 1 - (sweep & 2), 1 - (sweep & 4) // 2
@@ -188,7 +185,7 @@ def screen(points, R, centre, scale, distance, origin, spacing, local, rough):
     """Move points (Q, 3) into the frame of a posed object, and look up the nearest node's distance.
 
     Fills local (Q, 3) [m, of the unscaled object], rough (Q,) [m, likewise]: infinite beyond the grid. The exact
-    distance differs from the rough one by at most ``SLACK * spacing``, so that most points need no more.
+    distance differs from the rough one by at most ``SLACK * spacing``: for most points the rough one is enough.
     """
     inverse = 1.0 / scale
     nx, ny, nz = distance.shape
@@ -205,11 +202,9 @@ def screen(points, R, centre, scale, distance, origin, spacing, local, rough):
 
 @kernel()
 def signed_distance(x, y, z, corners, normals, face, origin, spacing):
-    """Compute the signed distance to the mesh and its direction.
+    """Compute the signed distance to the mesh and its gradient: (d, n0, n1, n2), d < 0 inside, n of unit length.
 
-    (d, n0, n1, n2), d < 0 inside, n the unit gradient of d.
-
-    Of the faces that the eight nodes around the point remember the nearest counts. The point must lie within the grid.
+    d is to the nearest of the faces stored at the eight nodes around the point, which must lie in the grid.
     """
     i = min(max(int((x - origin[0]) / spacing), 0), face.shape[0] - 2)
     j = min(max(int((y - origin[1]) / spacing), 0), face.shape[1] - 2)

@@ -1,4 +1,4 @@
-"""The distance of a posed mesh at some samples of an image, and how it changes as the mesh moves."""
+"""Depth of a posed mesh at samples of an image, its derivatives by the pose, and robust fits of depth errors."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from getagrip.compiling import kernel
 from getagrip.geometry.kernels.silhouette import project
 
 WARP_STUDENT_DOF = 2.0
-"""Degrees of freedom of the errors that warp depth: nearly always small, and in wrong depth any."""
+"""Degrees of freedom of Student's t, for errors that warp depth: small in most images, arbitrary in wrong ones."""
 MIN_INCIDENCE_COSINE = 0.1
-"""Samples whose ray meets the surface at a smaller cosine with its normal count as missed: they say where, not how far.
-"""
+"""Cosine between ray and surface normal below which a sample counts as missed: its depth is too uncertain."""
 
 
 @kernel()
@@ -58,9 +57,9 @@ def distances(
 
 @kernel()
 def _render(faces, closed, uvz, size, nearest, face):
-    """Fill in the inverse distance of the nearest face at each pixel's centre, and which it is; -1: none.
+    """Fill in the inverse distance and the index (-1: none) of the nearest face at each pixel's centre.
 
-    Inverse distances are linear in the image. Of a ``closed`` mesh, faces that look away are hidden.
+    Inverse distances are linear in the image. A ``closed`` mesh's back faces are hidden.
     """
     nearest[:] = 0.0
     face[:] = -1
@@ -102,7 +101,7 @@ def _render(faces, closed, uvz, size, nearest, face):
 
 @kernel()
 def _cut(at_zero, slope, inverse, span):
-    """Cut a span down to where ``at_zero + slope u`` is positive."""
+    """Cut a span to the part with positive ``at_zero + slope u``."""
     low, high = span
     if slope > 0.0:
         return max(low, -at_zero * inverse), high
@@ -113,7 +112,7 @@ def _cut(at_zero, slope, inverse, span):
 
 @kernel()
 def _between(low, high, size):
-    """First and last, exclusive, of the pixels whose centres are between two places."""
+    """Return the first and last (exclusive) pixel with a centre between two positions."""
     first, last = int(max(low + 0.5, 0.0)), int(min(max(high + 0.5, 0.0), 1.0 * size))
     return first + (first + 0.5 < low), last
 
@@ -161,9 +160,9 @@ def profile(r, weight, modes, priors, rigid, sigma, tail, rounds, exact, u, left
 
 @kernel()
 def prior_cost(of_clip, priors, rigid):
-    """Compute the cost of the errors that all frames share, and the prior of squares that has the slope of the warps'.
+    """Compute the cost of the errors shared by all frames, and a quadratic prior with the slope of the warps'.
 
-    Warps are the errors after the first ``rigid``: Student's t. ``priors`` (K + 1,) are those of squares.
+    Warps are the errors after the first ``rigid``: Student's t. ``priors`` (K + 1,) are the quadratic ones.
     """
     total, warps = 0.0, 0.0
     for k in range(len(of_clip)):
@@ -179,7 +178,7 @@ def prior_cost(of_clip, priors, rigid):
 
 @kernel()
 def _normal(r, u, modes, priors, rigid, of_clip, sums, A, y, weighted):
-    """Fill in the normal equations of of_clip, those of each of_frame eliminated: y (K,), and the factor of A (K, K).
+    """Fill in the normal equations of of_clip with each of_frame eliminated: y (K,), and the factor of A (K, K).
 
     The sums of a frame are those of u times each mode, of u and its prior, and of u r. Work space: weighted (M,).
     """
@@ -205,7 +204,7 @@ def _normal(r, u, modes, priors, rigid, of_clip, sums, A, y, weighted):
 
 @kernel()
 def _factorise(A):
-    """Replace a positive definite A (K, K), of which the lower half is given, by the lower L of ``A = L L^T``."""
+    """Replace a positive definite A (K, K), given by its lower half, by the lower L of ``A = L L^T``."""
     for k in range(len(A)):
         for o in range(k + 1):
             for j in range(o):
@@ -224,14 +223,14 @@ def forward(L, y):
 
 @kernel()
 def add(y, a, x):
-    """Add a times x to y, as many of its numbers as y has."""
+    """Add a times the first len(y) numbers of x to y."""
     for k in range(len(y)):
         y[k] += a * x[k]
 
 
 @kernel()
 def dot(x, y):
-    """Return the product of x with as many numbers of y."""
+    """Return the product of x with the first len(x) numbers of y."""
     total = 0.0
     for k in range(len(x)):
         total += x[k] * y[k]

@@ -1,25 +1,22 @@
-"""Exact silhouettes of triangle meshes as bit masks, from the silhouette edges alone.
+"""Exact silhouettes of triangle meshes as bit masks, their contour points, and the derivatives of these by a pose.
 
-A pixel is covered when some face covers it. Summed over faces, coverage is a signed crossing count of edges: the edge
-between faces f1 and f2 counts ``sign(f1) - sign(f2)``, where a face's sign says on which side of its plane the camera
-is. Only silhouette edges have a non-zero weight, so only they are scan-converted: each adds its weight to all
-pixels right of it, row by row, in four bit planes (a ripple-carry counter modulo 16 over 64 pixels at a time). The mask
-is where the counter is not zero: exactly the mask of a triangle rasteriser while fewer than 16 layers overlap (closed
-meshes count whole layers, open ones single faces). ``reference.silhouette`` is the readable specification.
+**Masks**, from the silhouette edges alone. A pixel is covered when some face covers it. Summed over faces, coverage is
+a signed crossing count of edges: the edge between faces f1 and f2 counts ``sign(f1) - sign(f2)``, where a face's sign
+is the side of its plane on which the camera is. Only silhouette edges have a non-zero weight, so only they are
+scan-converted: each adds its weight to all pixels right of it, row by row, in four bit planes (a ripple-carry counter
+modulo 16 over 64 pixels at a time). The mask is where the counter is not zero: exactly the mask of a triangle
+rasteriser while fewer than 16 layers overlap (closed meshes count whole layers, open ones single faces).
+``silhouette`` in tests/helpers/kernels.py is the readable specification.
 
-The contour of a silhouette: where it pulls, how strongly, and how a pose moves it.
+**Contours**. Points are sampled along the silhouette edges, with an outward normal; a point with an uncovered outside
+neighbour lies on the contour. The boundary integral over the contour is the exact gradient of E_mask, and the points'
+signed distance d to the observed mask gives its curvature: weight h = step / max(|d|, delta), gradient sum(h d a),
+Hessian sum(h a a^T), a being the derivative of the point along its normal by the local 7-vector (``se3``). For |d| >
+delta the gradient is that of E_mask, and one step is a majorise-minimise step on it. ``sample_contour`` and
+``normal_equations`` in tests/helpers/kernels.py are the readable specifications.
 
-Points are sampled along the silhouette edges, with an outward normal; those whose outside neighbour is uncovered lie on
-the contour. The boundary integral over them is the exact gradient of E_mask, and their signed distance d to the
-observed mask gives its curvature: weight h = step / max(|d|, delta), gradient sum(h d a), Hessian sum(h a a^T), a
-being the derivative of the point along its normal by the local 7-vector (``se3``). For |d| > delta the gradient is that
-of E_mask, and one step is a majorise-minimise step on it. ``reference.sample_contour`` and
-``reference.normal_equations`` are the readable specifications.
-
-Silhouettes of a mesh that has another shape in every frame, a hand's, against masks, and their contour points.
-
-The kernels of ``silhouette`` and ``contour`` do the work. Here the mesh comes as vertices in the camera frame, and each
-contour point says which vertex it goes with.
+**Deforming meshes**, such as a hand: ``contours`` takes vertices in the camera frame for every frame, and returns the
+nearest vertex of each contour point.
 """
 
 from __future__ import annotations
@@ -31,7 +28,7 @@ from numba.extending import intrinsic
 from getagrip.compiling import kernel
 
 MIN_SILHOUETTE_DEPTH_M = 0.02
-"""Objects nearer than this to the camera plane are not rendered [m]."""
+"""Distance to the camera plane below which an object is not rendered [m]."""
 
 N_COUNTER_BITS = 4
 _ALL_BITS = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -50,7 +47,7 @@ def popcount(typingctx, word):
 
 @intrinsic
 def fma(typingctx, a, b, c):
-    """Compute ``a b + c``, rounded once: sums keep their order, however the loop around them is compiled."""
+    """Compute ``a b + c``, rounded once: sums keep their order, whatever the compiler does with the loop."""
 
     def codegen(context, builder, signature, args):
         return builder.fma(*args)
@@ -86,7 +83,7 @@ def project(vertices, R, centre, scale, K, uvz):
 
 @kernel()
 def silhouette_edges(planes, edges, R, centre, scale, sign, out):
-    """Collect the silhouette edges into out (3, E) as (v0, v1, weight); return how many.
+    """Collect the silhouette edges into out (3, E) as (v0, v1, weight); return their number.
 
     planes (4, F) and edges (4, E) are the mesh's tables, sign (F + 1) is scratch. The weight is even for closed meshes.
     """
@@ -168,7 +165,7 @@ def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):  # noqa: 
 
 @kernel()
 def mismatch(bits, observed, valid):
-    """Count the valid pixels in which two bit masks differ: E_mask (Eq. 6), at the resolution of the masks."""
+    """Count the valid pixels that differ between two bit masks: E_mask (Eq. 6), at the resolution of the masks."""
     total = np.uint64(0)
     for row in range(bits.shape[0]):
         for word in range(bits.shape[1]):
@@ -219,7 +216,7 @@ _UINT64_ONE = np.uint64(1)
 
 @kernel()
 def sample_contour(uvz, edges, n_edges, zoom, step, bits, valid, lines, points):
-    """Sample the visible contour every ``step`` pixels of the level into points (7, M); return how many.
+    """Sample the visible contour every ``step`` pixels of the level into points (7, M); return their number.
 
     ``zoom`` is level pixels per pixel of the full crop. Points in ignored pixels are dropped. lines (12, E) is scratch.
     """
@@ -282,8 +279,8 @@ def match_boundary(points, n, targets, gate, strength, delta, matched):
     """Pull the nearest contour point with a similar normal to each observed boundary point (the coverage term).
 
     targets (Q, 5) holds position, outward normal and boundary length. Writes one point per target into matched (7, Q),
-    its residual along its own normal as the distance; weight 0 where nothing is near. Returns the term's value, the
-    sum of length times distance, distances capped at the square root of the gate.
+    its residual along its own normal as the distance; weight 0 without a near contour point. Returns the term's value,
+    the sum of length times distance, distances capped at the square root of the gate.
     """
     Q = len(targets)
     lanes = (Q + 7) // 8 * 8
@@ -392,11 +389,11 @@ def accumulate(points, n, centre, K, g, H):
 def contours(vertices, faces, edges, closed, K, observed, valid, field, step, delta, bits, value, points, nearest):
     """Fill in the silhouettes' bits, values, contour points and their nearest vertices, per frame.
 
-    bits are (N, n, words); value (N,) counts the valid pixels that differ from the mask; points are (N, 7, M)
-    (``geometry.kernels.silhouette``; weight 0 where there are no more); nearest (N, M) is the vertex nearest to each point.
+    bits are (N, n, words); value (N,) counts the valid pixels that differ from the mask; points are (N, 7, M), unused
+    ones with weight 0; nearest (N, M) is each point's nearest vertex.
 
     vertices (N, 3, V) are in the camera frame, faces (F, 3) and edges (4, E) those of the mesh, field (N, n, n) is the
-    signed distance to the mask's contour, all at one resolution. Too near to the camera, a hand has infinite value.
+    signed distance to the mask's contour, all at one resolution. A hand too near to the camera has infinite value.
     """
     uvz = np.empty((3, vertices.shape[2]))
     planes = np.zeros((4, len(faces)))

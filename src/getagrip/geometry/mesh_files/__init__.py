@@ -1,4 +1,4 @@
-"""Mesh files: reading, checking, writing."""
+"""Mesh files (.obj, .ply, .stl, .glb), untrusted: reading, checking, writing."""
 
 from __future__ import annotations
 
@@ -20,47 +20,40 @@ MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 MAX_MESH_EXTENT_M, MIN_MESH_EXTENT_M = 2.0, 0.005
 """Plausible sizes of hands and objects [m]."""
 MAX_ORIGIN_DISTANCE_M = 100.0
-"""Farthest that a mesh may be from its origin [m]; the shape of one that is farther has too few digits."""
+"""Maximum distance of a mesh from its origin [m]; beyond, coordinates have too few digits for its shape."""
 UNIT_HINT = " Scale the file to metres; of a clip's own mesh, getagrip clip new takes the unit (--unit mm, cm, in)"
 MAX_MESH_BYTES = 128 * 2**20
-"""Limit in bytes: parsing takes several times as much memory."""
+"""Limit of a file; parsing takes several times as much memory."""
 
 
 @check_arguments
 def read_mesh(path: str | Path) -> Mesh:
     """Read and check a triangle mesh in metres (.obj, .ply, .stl, .glb), placed by the file's own transforms.
 
-    Closed meshes that are wound inward are turned outward. Raises ``InputError`` for an unreadable file, no faces,
-    degenerate faces, non-finite vertices or an absurd size.
+    Closed meshes wound inward are flipped. Raises ``InputError`` for an unreadable file, no faces, degenerate faces,
+    non-finite vertices or an absurd size.
     """
     path = Path(path)
     return checked_mesh(path, *parse_mesh(path))
 
 
 def parse_mesh(path: Path) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."]]:
-    """Parse vertices and faces of a mesh file, not checked, in the file's own unit. Raises ``InputError``."""
+    """Parse unchecked vertices and faces of a mesh file, in the file's own unit. Raises ``InputError``."""
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES:
-        raise InputError(
-            path, "mesh", f"the suffix {files.shorten_value(path.suffix)}", f"one of {', '.join(MESH_SUFFIXES)}"
-        )
+        got = f"the suffix {files.shorten_value(path.suffix)}"
+        raise InputError(path, "mesh", got, f"one of {', '.join(MESH_SUFFIXES)}")
     if not path.is_file():
         raise InputError(path, "mesh", "no such file", "a triangle mesh")
-    content = files.read_bytes(path, MAX_MESH_BYTES)
-    if suffix == ".obj":
-        return parse_obj(path, content)
-    if suffix == ".glb":
-        return parse_glb(path, content)
-    if suffix == ".ply":
-        return parse_ply(path, content)
-    return _parse_stl(path, content)
+    parse = {".obj": parse_obj, ".glb": parse_glb, ".ply": parse_ply, ".stl": _parse_stl}[suffix]
+    return parse(path, files.read_bytes(path, MAX_MESH_BYTES))
 
 
 def _parse_stl(path: Path, content: bytes) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."]]:
-    """Vertices and faces of a .stl file, by trimesh. ``path`` is only named in errors."""
+    """Parse vertices and faces of a .stl file by trimesh; ``path`` is only named in errors."""
     import trimesh
 
-    kind, stream = "stl", io.BytesIO(content)  # without a path nothing beside the file is ever opened
+    kind, stream = "stl", io.BytesIO(content)  # a stream: trimesh cannot open files beside it
     binary = len(content) >= 84 and len(content) == 84 + 50 * int.from_bytes(content[80:84], "little")
     if not binary:
         kind, stream = "stl_ascii", io.BytesIO(files.strip_byte_order_mark(content).decode("utf-8", "replace").encode())
@@ -68,14 +61,14 @@ def _parse_stl(path: Path, content: bytes) -> tuple[Float[ndarray, "..."], Int[n
             raise InputError(path, "mesh", "a file that does not parse", "a whole .stl file, binary or text")
     try:
         loaded = trimesh.load(stream, file_type=kind, force="mesh", process=False, skip_materials=True)
-    except Exception as error:  # trimesh's readers raise whatever their parsers meet
+    except Exception as error:  # trimesh's parsers raise many types
         raise InputError(path, "mesh", f"a file that does not parse ({error})", "a whole .stl file") from error
     vertices, faces = getattr(loaded, "vertices", ()), getattr(loaded, "faces", ())
     return np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64)
 
 
 def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> Mesh:
-    """Check a mesh, merge its vertices and wind it outward; raise ``InputError`` for a mesh that cannot be used."""
+    """Check a mesh, merge its vertices and wind it outward. Raises ``InputError`` for an unusable mesh."""
     if faces.size == 0 or vertices.size == 0:
         raise InputError(path, "faces", "no faces", "a mesh with faces")
     if vertices.ndim != 2 or vertices.shape[1] != 3:
@@ -93,9 +86,8 @@ def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray
     check_size(path, "vertices", extent, "the object", UNIT_HINT)
     away = float(np.abs(vertices.mean(axis=0)).max())
     if away > MAX_ORIGIN_DISTANCE_M:
-        expected = (
-            f"at most {MAX_ORIGIN_DISTANCE_M:g} m: so far off, as in a map, its shape has too few digits; move it"
-        )
+        most = f"at most {MAX_ORIGIN_DISTANCE_M:g} m"
+        expected = f"{most}: so far off, as in a map, its shape has too few digits; move it"
         raise InputError(path, "vertices", f"an object {away:.4g} m from its origin", expected)
     bad = np.flatnonzero(face_areas(vertices, faces) < 1e-12 * extent**2)
     if bad.size:
@@ -107,16 +99,13 @@ def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray
 def used_vertices(
     vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]
 ) -> tuple[Int[ndarray, "U"], Int[ndarray, "F 3"]]:
-    """Return the vertices that faces need, one at each place, and the faces of these: formats like .stl repeat them."""
+    """Return the used vertices' indices, one per position, and the renumbered faces; formats like .stl repeat them."""
     used, remapped = np.unique(merge_vertices(vertices)[faces], return_inverse=True)
     return used, remapped.reshape(faces.shape)
 
 
 def drop_degenerate_faces(vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> Int[ndarray, "..."]:
-    """Drop the faces without area, which scans and CAD models may hold.
-
-    All are returned where they are no triangles of these vertices: ``checked_mesh`` says what is wrong with them.
-    """
+    """Drop faces without area, which scans and CAD models may have; invalid faces are left for ``checked_mesh``."""
     are_triangles = vertices.shape[1:] == (3,) and faces.shape[1:] == (3,) and faces.size
     if not are_triangles or faces.min() < 0 or faces.max() >= len(vertices):
         return faces
@@ -126,10 +115,7 @@ def drop_degenerate_faces(vertices: Float[ndarray, "..."], faces: Int[ndarray, "
 
 
 def check_size(path: Path, key: str, extent: float, what: str, units: str = "") -> None:
-    """Raise ``InputError`` when a hand or an object is absurdly large or small.
-
-    ``units``: what can be done where the unit is not the metre.
-    """
+    """Raise ``InputError`` for an absurdly large or small hand or object; ``units`` is advice for other units."""
     got = f"{what} {extent:.4g} m large"
     if extent > MAX_MESH_EXTENT_M:
         raise InputError(path, key, got, f"at most {MAX_MESH_EXTENT_M:g} m; are these millimetres?{units}")

@@ -1,7 +1,7 @@
-"""Binary glTF (.glb): the triangles of its scene; the rest is ignored.
+"""Binary glTF files (.glb), read for the triangles of their scene.
 
-Trimesh decodes every mesh of a file, shown or not, before anything can be counted. Here arrays are viewed in the file,
-and copied once it is known how many are wanted in all.
+Not read by trimesh, which decodes every mesh of a file, in the scene or not, before anything can be counted. Here
+arrays are views of the file, copied once the total size is known.
 """
 
 from __future__ import annotations
@@ -22,23 +22,20 @@ from getagrip.geometry.se3 import from_quaternion, transform
 from getagrip.io import files
 
 MAX_GLTF_JSON_BYTES = 16 * 2**20
-"""Bytes of the JSON."""
 MAX_GLTF_PARTS = 2**16
-"""Nodes, and parts of meshes at them."""
+"""Maximum number of nodes, and of their meshes' parts."""
 MAX_NODE_TRANSFORM = 1e6
 """Largest number in a node's transform."""
 COMPONENT_DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-"""The types of numbers by ``componentType``."""
+"""Numpy's types by ``componentType``."""
 TRIANGLES_MODE, TRIANGLE_STRIP_MODE = 4, 5
-"""Modes of parts that have triangles."""
+"""Values of ``mode`` for parts with triangles."""
 
 
 def parse_glb(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
-    """Parse vertices and faces of the scene, its parts where its nodes put them.
+    """Parse vertices and faces of the scene, placed by its nodes; ``path`` is only named in errors.
 
-    ``path`` is only named in errors.
-
-    Materials, normals, textures, skins and animations are passed over. Raises ``InputError``.
+    Materials, normals, textures, skins and animations are ignored. Raises ``InputError``.
     """
     try:
         return _scene_triangles(_split_chunks(path, content))
@@ -48,7 +45,7 @@ def parse_glb(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
 
 @dataclass(frozen=True)
 class _GltfFile:
-    """A file's JSON, not checked, and the bytes of its arrays."""
+    """A file's unchecked JSON, and the bytes of its arrays."""
 
     path: Path
     tree: files.Json
@@ -61,7 +58,7 @@ class _GltfFile:
         return self.tree[key][n]
 
     def array(self, n: int, width: int) -> Shaped[ndarray, "n width"]:
-        """Return an array as it lies in the file. Its length is as claimed: rows may overlap."""
+        """Return a view of an array in the file, of the stated length: rows may overlap."""
         accessor = self.item("accessors", n)
         if "bufferView" not in accessor or "sparse" in accessor or accessor.get("normalized"):
             raise InputError(self.path, "mesh", "arrays without plain data", "a .glb exported without compression")
@@ -71,27 +68,22 @@ class _GltfFile:
         if view["buffer"] != 0 or "uri" in self.item("buffers", 0):
             raise InputError(self.path, "buffers", "arrays outside the file", "a .glb with all arrays in it")
         start, dtype = view.get("byteOffset", 0), np.dtype(COMPONENT_DTYPES[accessor["componentType"]])
-        return np.ndarray(
-            (accessor["count"], width),
-            dtype,
-            self.data[start : start + view["byteLength"]],
-            accessor.get("byteOffset", 0),
-            (view.get("byteStride", width * dtype.itemsize), dtype.itemsize),
-        )
+        data, offset = self.data[start : start + view["byteLength"]], accessor.get("byteOffset", 0)
+        strides = (view.get("byteStride", width * dtype.itemsize), dtype.itemsize)
+        return np.ndarray((accessor["count"], width), dtype, data, offset, strides)
 
 
 class _MeshPrimitive(NamedTuple):
-    """A part of a mesh, as it lies in the file."""
+    """A part of a mesh, viewed in the file."""
 
     points: Shaped[ndarray, "n 3"]
     ids: Shaped[ndarray, "m 1"] | None
-    """Vertex index of each corner; None: each corner is a vertex, in their order."""
+    """Vertex id of each corner; None: each vertex is a corner, in order."""
     is_strip: bool
-    """True if each corner from the third on makes a triangle with the two before."""
+    """True if each corner from the third on forms a triangle with the two before it."""
 
 
 def _split_chunks(path: Path, content: bytes) -> _GltfFile:
-    """Split a file into its two chunks."""
     if content[:4] != b"glTF" or content[16:20] != b"JSON":
         raise ValueError("no glTF header")
     end = 20 + int.from_bytes(content[12:16], "little")
@@ -109,7 +101,7 @@ def _split_chunks(path: Path, content: bytes) -> _GltfFile:
 
 
 def _scene_triangles(file: _GltfFile) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
-    """Vertices and faces of all parts."""
+    """Return vertices and faces of all parts."""
     parts, vertices, corners = [], 0, 0
     of_mesh: dict[int, list[_MeshPrimitive]] = {}
     for mesh, T_scene_node in _iterate_mesh_poses(file):
@@ -119,32 +111,27 @@ def _scene_triangles(file: _GltfFile) -> tuple[Float[ndarray, "V 3"], Int[ndarra
             vertices, corners = vertices + len(points), corners + len(points if ids is None else ids)
             parts.append((points, ids, is_strip, T_scene_node))
             if len(parts) > MAX_GLTF_PARTS:
-                raise InputError(
-                    file.path, "nodes", f"more than {MAX_GLTF_PARTS} parts of meshes", f"at most {MAX_GLTF_PARTS}"
-                )
+                got = f"more than {MAX_GLTF_PARTS} parts of meshes"
+                raise InputError(file.path, "nodes", got, f"at most {MAX_GLTF_PARTS}")
             if vertices > MAX_OBJ_ELEMENTS or corners > 3 * MAX_OBJ_ELEMENTS:
                 got = f"{vertices} vertices and {corners} corners of faces, or more"
-                raise InputError(
-                    file.path, "nodes", got, f"at most {MAX_OBJ_ELEMENTS} vertices and {3 * MAX_OBJ_ELEMENTS} corners"
-                )
+                most = f"at most {MAX_OBJ_ELEMENTS} vertices and {3 * MAX_OBJ_ELEMENTS} corners"
+                raise InputError(file.path, "nodes", got, most)
     if not parts:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
-    first, found = 0, []
+    first, placed, joined = 0, [], []
     for points, ids, is_strip, T_scene_node in parts:
-        faces = _primitive_faces(
-            file.path, np.arange(len(points)) if ids is None else ids.ravel(), len(points), is_strip
-        )
+        corner_ids = np.arange(len(points)) if ids is None else ids.ravel()
+        faces = _primitive_faces(file.path, corner_ids, len(points), is_strip)
         is_mirrored = np.linalg.det(T_scene_node[:3, :3]) < 0
-        found.append(
-            (transform(T_scene_node, points.astype(float)), first + (faces[:, ::-1] if is_mirrored else faces))
-        )
+        placed.append(transform(T_scene_node, points.astype(float)))
+        joined.append(first + (faces[:, ::-1] if is_mirrored else faces))
         first += len(points)
-    placed, joined = zip(*found, strict=True)
     return np.concatenate(placed), np.concatenate(joined)
 
 
 def _iterate_mesh_poses(file: _GltfFile) -> Iterator[tuple[int, Float[ndarray, "4 4"]]]:
-    """Yield each mesh of the scene with its pose there, scale included."""
+    """Yield each mesh of the scene with its pose, scale included."""
     if not file.tree.get("scenes"):
         return
     scene, seen = file.item("scenes", file.tree.get("scene", 0)), set()
@@ -170,7 +157,7 @@ def _iterate_mesh_poses(file: _GltfFile) -> Iterator[tuple[int, Float[ndarray, "
 def _node_transform(node: files.Json) -> Float[ndarray, "4 4"]:
     """Return the pose of a node in its parent, scale included."""
     if "matrix" in node:
-        return np.array(node["matrix"], dtype=float).reshape(4, 4).T  # it is stored by columns
+        return np.array(node["matrix"], dtype=float).reshape(4, 4).T  # stored by columns
     T = np.eye(4)
     if "rotation" in node:
         x, y, z, w = np.array(node["rotation"], dtype=float)
@@ -181,7 +168,7 @@ def _node_transform(node: files.Json) -> Float[ndarray, "4 4"]:
 
 
 def _triangle_primitives(file: _GltfFile, mesh: int) -> Iterator[_MeshPrimitive]:
-    """Yield the parts of a mesh that have triangles."""
+    """Yield a mesh's parts with triangles."""
     for part in file.item("meshes", mesh)["primitives"]:
         mode = part.get("mode", TRIANGLES_MODE)
         if mode in (TRIANGLES_MODE, TRIANGLE_STRIP_MODE):
@@ -190,11 +177,10 @@ def _triangle_primitives(file: _GltfFile, mesh: int) -> Iterator[_MeshPrimitive]
 
 
 def _primitive_faces(path: Path, ids: Shaped[ndarray, "n"], vertices: int, is_strip: bool) -> Int[ndarray, "F 3"]:
-    """Return the triangles of a part."""
     if ids.dtype.kind == "f" or (len(ids) and not 0 <= ids.min() <= ids.max() < vertices):
         raise InputError(path, "faces", f"the vertex index {ids.max()}", f"0 to {vertices - 1}, counted from 0")
     if not is_strip:
         return ids.astype(np.int64).reshape(-1, 3)
     faces = np.stack([ids[:-2], ids[1:-1], ids[2:]], axis=1).astype(np.int64)
-    faces[1::2] = faces[1::2, ::-1]  # every other one is wound the other way
+    faces[1::2] = faces[1::2, ::-1]  # every second triangle has the opposite winding
     return faces

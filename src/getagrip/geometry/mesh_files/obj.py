@@ -1,6 +1,7 @@
-"""Wavefront .obj files: the vertices and the faces; the rest is ignored.
+"""Wavefront .obj files, read for their vertices and faces; and the triangulation of polygons, for .ply as well.
 
-Polygons cut into triangles: fans where they are convex, ears where not.
+Convex polygons become fans, others are cut by ear clipping. Ours, not a library's: every polygon of n corners gives
+n - 2 triangles with its boundary, even if it crosses itself: closed meshes stay closed. And the time is bounded.
 """
 
 from __future__ import annotations
@@ -21,19 +22,122 @@ from numpy import ndarray
 from getagrip.errors import InputError
 from getagrip.io import files
 
+OBJ_DECIMALS = 8
+"""Decimals of written coordinates [m]."""
+MAX_OBJ_ELEMENTS = 2**22
+"""Maximum number of vertices, and of triangles."""
+MAX_OBJ_LINE_CHARS = 2**20
+"""Maximum length of a line: a polygon of about 100 000 corners."""
+_VERTEX_LINE = re.compile(rb"^v((?:[ \t]+[-+]?[\d.][-+\deE.]*){3})[ \t\r]*$", re.MULTILINE)
+_TRIANGLE_LINE = re.compile(rb"^f((?:[ \t]+\d{1,9}(?:/[\d/]*)?){3})[ \t\r]*$", re.MULTILINE)
+_ELEMENT_LINES = {kind: re.compile(rb"^[ \t\v\f]*" + kind + rb"[ \t]", re.MULTILINE) for kind in (b"v", b"f")}
 COLLINEAR_TOLERANCE = 1e-14
-"""Corners that turn less are straight, in polygons about 1 large."""
+"""Twice the signed area at a corner below which it is straight, in a polygon of size about 1."""
 MAX_SCALAR_TESTS = 50
-"""Corners that are tested one by one; more are tested at once, each in a fraction of the time."""
+"""Number of corners up to which each is tested in Python; more are tested by numpy at once, faster per corner."""
 MAX_EAR_TESTS = 10_000_000
-"""Most tests of corners against triangles, in the concave polygons of a file: some seconds."""
+"""Maximum number of tests of corners against triangles, in a file's concave polygons: some seconds."""
 POLYGON_CHUNK_CORNERS = 2**18
-"""Corners of polygons that are looked at at a time."""
+"""Number of polygons' corners processed at once."""
+
+
+def parse_obj(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
+    """Parse vertices, and faces with polygons cut into triangles; ``path`` is only named in errors.
+
+    Parts, materials, normals and textures are ignored. Raises ``InputError``, which names the line.
+    """
+    content = files.strip_byte_order_mark(content)
+    if len(content) > 8 * MAX_OBJ_ELEMENTS:  # the shortest line of a vertex has 8 bytes
+        _check_element_counts(path, content)
+    vertices, faces = _parse_triangles_fast(content) or _parse_obj_lines(path, content)
+    if not len(faces):
+        raise InputError(path, "faces", f"{len(vertices)} vertices and no faces", "a mesh with faces")
+    if faces.max() >= len(vertices):
+        raise InputError(path, "faces", f"a face with vertex {faces.max() + 1}", f"1 to {len(vertices)}")
+    return vertices, faces
+
+
+def obj_content(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> bytes:
+    """Write triangles as an OBJ file, vertices [m] rounded to ``OBJ_DECIMALS``."""
+    points = f"v {' '.join([f'%.{OBJ_DECIMALS}f'] * 3)}\n" * len(vertices) % tuple(vertices.ravel().tolist())
+    corners = "f %d %d %d\n" * len(faces) % tuple((faces + 1).ravel().tolist())
+    return (points + corners).encode()
+
+
+def _check_element_counts(path: Path, content: bytes) -> None:
+    """Raise ``InputError`` for too many lines of a kind, before any is parsed."""
+    lines = content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
+    for kind, found in _ELEMENT_LINES.items():
+        if sum(1 for _ in islice(found.finditer(lines), MAX_OBJ_ELEMENTS + 1)) > MAX_OBJ_ELEMENTS:
+            got = f"more than {MAX_OBJ_ELEMENTS} lines of {kind.decode()!r}"
+            raise InputError(path, "", got, f"at most {MAX_OBJ_ELEMENTS}")
+
+
+def _parse_triangles_fast(content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]] | None:
+    """Parse a file of triangles only, as most large ones are, ten times as fast; None for any other file."""
+    other_line_ends = content.count(b"\r") != content.count(b"\r\n")
+    if other_line_ends or b"\\" in content or max(content.count(b"v "), content.count(b"f ")) > MAX_OBJ_ELEMENTS:
+        return None
+    points, corners = _VERTEX_LINE.findall(content), _TRIANGLE_LINE.findall(content)
+    if [len(points), len(corners)] != [sum(1 for _ in one.finditer(content)) for one in _ELEMENT_LINES.values()]:
+        return None
+    try:
+        vertices = _parse_obj_numbers(b"".join(points), float)
+        faces = _parse_obj_numbers(re.sub(rb"/[\d/]*", b"", b"".join(corners)), np.int64)
+    except (ValueError, DeprecationWarning):  # invalid numbers
+        return None
+    if len(vertices) != 3 * len(points) or len(faces) != 3 * len(corners) or faces.min(initial=1) < 1:
+        return None
+    return vertices.reshape(-1, 3), faces.reshape(-1, 3) - 1
+
+
+def _parse_obj_numbers(text: bytes, kind: type) -> Shaped[ndarray, "n"]:
+    """Parse numbers separated by spaces. Raises ``ValueError`` or, before numpy 2.3, ``DeprecationWarning``."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)
+        return np.fromstring(text, dtype=kind, sep=" ")
+
+
+def _parse_obj_lines(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
+    """Parse any file, line by line. Raises ``InputError``."""
+    text = content.decode("utf-8", "replace")  # names and comments may be in any encoding
+    vertices, counts, faces = array("d"), array("q"), array("q")
+    lines = io.StringIO(text.replace("\\\r\n", " ").replace("\\\n", " "), newline=None)
+    for number, line in enumerate(lines, start=1):
+        if len(line) > MAX_OBJ_LINE_CHARS:
+            raise InputError(path, f"line {number}", f"{len(line)} characters", f"at most {MAX_OBJ_LINE_CHARS}")
+        words = line.partition("#")[0].split()
+        try:
+            if words and words[0] == "v":
+                x, y, z = words[1:4]  # colours may follow
+                vertices.extend((float(x), float(y), float(z)))
+            elif words and words[0] == "f":
+                corners = [_parse_vertex_index(word, len(vertices) // 3) for word in words[1:]]
+                if len(corners) < 3:
+                    raise ValueError
+                counts.append(len(corners))
+                faces.extend(corners)
+        except ValueError as error:
+            expected = "v x y z" if words[0] == "v" else "f and three or more vertices, counted from 1"
+            raise InputError(path, f"line {number}", files.shorten_value(line.rstrip("\n")), expected) from error
+        if len(vertices) > 3 * MAX_OBJ_ELEMENTS or len(faces) - 2 * len(counts) > MAX_OBJ_ELEMENTS:
+            got = f"more than {MAX_OBJ_ELEMENTS} vertices or triangles"
+            raise InputError(path, f"line {number}", got, f"at most {MAX_OBJ_ELEMENTS}")
+    points = np.array(vertices, dtype=float).reshape(-1, 3)
+    return points, triangulate_polygons(path, points, np.array(counts, dtype=np.int64), np.array(faces, dtype=np.int64))
+
+
+def _parse_vertex_index(word: str, vertices: int) -> int:
+    """Parse the vertex id of a corner ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``; negative: counted from the latest."""
+    index = int(word.partition("/")[0])
+    if index == 0 or index < -vertices or index > 2**62:
+        raise ValueError
+    return index - 1 if index > 0 else vertices + index
 
 
 @dataclass
 class EarTestBudget:
-    """Number of further tests that a file may take."""
+    """The number of tests left for a file."""
 
     left: int
 
@@ -41,10 +145,10 @@ class EarTestBudget:
 def triangulate_polygons(
     path: Path, points: Float[ndarray, "V 3"], counts: Int[ndarray, "n"], corners: Int[ndarray, "c"]
 ) -> Int[ndarray, "F 3"]:
-    """Triangulate polygons with ``counts`` corners each (3 or more), which are listed one after the other.
+    """Triangulate polygons with ``counts`` corners each (3 or more), concatenated in ``corners``: n - 2 triangles each.
 
-    Those of a polygon that is no plane one of these points are a fan. Raises ``InputError`` for polygons that take too
-    long to be cut.
+    Degenerate polygons, and polygons with invalid vertex ids, become fans. Raises ``InputError`` for polygons that
+    would take too long.
     """
     starts, firsts = np.cumsum(counts) - counts, np.cumsum(counts - 2) - (counts - 2)
     made, effort = np.empty((int(np.sum(counts - 2)), 3), dtype=np.int64), EarTestBudget(MAX_EAR_TESTS)
@@ -60,7 +164,7 @@ def triangulate_polygons(
 def _triangulate_equal_sized(
     path: Path, points: Float[ndarray, "V 3"], polygons: Int[ndarray, "n N"], effort: EarTestBudget
 ) -> Int[ndarray, "n f 3"]:
-    """Triangulate polygons that have the same number of corners."""
+    """Triangulate polygons with N corners each."""
     count = polygons.shape[1]
     n = np.arange(1, count - 1)
     cut: ndarray = polygons[:, np.stack([np.zeros_like(n), n, n + 1], axis=1)]
@@ -70,32 +174,26 @@ def _triangulate_equal_sized(
     flat = _in_plane(points[np.where(known[:, None], polygons, 0)])
     concave = known & ~_are_convex(flat)
     if count == 4:
-        cut[concave] = np.where(
-            _split_at_first(flat[concave])[:, None, None], cut[concave], _split_second_diagonal(polygons[concave])
-        )
+        second_diagonal = polygons[concave][:, np.array([[1, 2, 3], [1, 3, 0]])]
+        cut[concave] = np.where(_is_first_diagonal_inside(flat[concave])[:, None, None], cut[concave], second_diagonal)
         return cut
     for row in np.flatnonzero(concave):
         cut[row] = polygons[row][np.array(_clip_ears(path, flat[row], effort))]
     return cut
 
 
-def _split_at_first(flat: Float[ndarray, "n 4 2"]) -> Bool[ndarray, "n"]:
-    """Return whether the diagonal from a quad's first corner lies in it; one of the two diagonals does."""
+def _is_first_diagonal_inside(flat: Float[ndarray, "n 4 2"]) -> Bool[ndarray, "n"]:
+    """Return whether the diagonal from a quad's first corner is inside; at least one of the two diagonals is."""
     a, b, c, d = np.moveaxis(flat, 1, 0)
     return (_twice_signed_areas(a, b, c) > 0) & (_twice_signed_areas(a, c, d) > 0)
 
 
-def _split_second_diagonal(quads: Int[ndarray, "n 4"]) -> Int[ndarray, "n 2 3"]:
-    """Quads cut at the diagonal from their second corner."""
-    return quads[:, np.array([[1, 2, 3], [1, 3, 0]])]
-
-
 def _clip_ears(path: Path, flat: Float[ndarray, "N 2"], effort: EarTestBudget) -> list[tuple[int, int, int]]:
-    """N - 2 triangles of a simple polygon in the plane, by its corners, turning as it turns.
+    """Triangulate a planar polygon: N - 2 triangles of its corners, with its orientation.
 
-    Corners are cut off that are convex and whose triangle holds no other corner, or that are straight where there are
-    none. A polygon that has neither, as one that crosses itself, is cut into a fan from there on. Plain numbers, since
-    most polygons have few corners.
+    Convex corners whose triangle contains no other corner are cut off; if none is left, straight corners. A polygon
+    without either, such as one that crosses itself, becomes a fan from that point on. Scalar arithmetic, since most
+    polygons have few corners.
     """
     at: list[list[float]] = flat.tolist()
     count = len(at)
@@ -139,12 +237,12 @@ def _clip_ears(path: Path, flat: Float[ndarray, "N 2"], effort: EarTestBudget) -
 
 
 def _twice_signed_area(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
-    """Twice the signed area of a triangle, positive where it is counter-clockwise."""
+    """Compute twice the signed area of a triangle, positive if counter-clockwise."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 def _triangle_contains(a: Sequence[float], b: Sequence[float], c: Sequence[float], point: Sequence[float]) -> bool:
-    """Return whether a point is in a counter-clockwise triangle, edges included and corners not."""
+    """Return whether a point is in a counter-clockwise triangle, edges included, corners excluded."""
     inside = (
         _twice_signed_area(a, b, point) >= 0
         and _twice_signed_area(b, c, point) >= 0
@@ -156,18 +254,14 @@ def _triangle_contains(a: Sequence[float], b: Sequence[float], c: Sequence[float
 def _triangle_contains_any(
     a: Float[ndarray, "2"], b: Float[ndarray, "2"], c: Float[ndarray, "2"], points: Float[ndarray, "n 2"]
 ) -> bool:
-    """Return whether any of many points is in a triangle, as ``_triangle_contains`` defines it."""
-    inside = (
-        (_twice_signed_areas(a, b, points) >= 0)
-        & (_twice_signed_areas(b, c, points) >= 0)
-        & (_twice_signed_areas(c, a, points) >= 0)
-    )
+    """Return whether any point is in a triangle, as ``_triangle_contains`` defines it."""
+    inside = np.all([_twice_signed_areas(p, q, points) >= 0 for p, q in ((a, b), (b, c), (c, a))], axis=0)
     corner = np.any([(points == point).all(axis=1) for point in (a, b, c)], axis=0)
     return bool((inside & ~corner).any())
 
 
 def _in_plane(points: Float[ndarray, "n N 3"]) -> Float[ndarray, "n N 2"]:
-    """Corners in their polygon's plane, counter-clockwise; zeros where it has no area or is not finite.
+    """Project corners to their polygon's plane, counter-clockwise; zeros for one without area or not finite.
 
     The plane's normal is Newell's.
     """
@@ -189,13 +283,13 @@ def _in_plane(points: Float[ndarray, "n N 3"]) -> Float[ndarray, "n N 2"]:
 def _twice_signed_areas(
     a: Float[ndarray, "*n 2"], b: Float[ndarray, "*m 2"], c: Float[ndarray, "*k 2"]
 ) -> Float[ndarray, "*l"]:
-    """Twice the signed areas of triangles, positive where they are counter-clockwise."""
+    """Compute twice the signed areas of triangles, positive if counter-clockwise."""
     ab, ac = b - a, c - a
     return np.asarray(ab[..., 0] * ac[..., 1] - ab[..., 1] * ac[..., 0])
 
 
 def _are_convex(flat: Float[ndarray, "n N 2"]) -> Bool[ndarray, "n"]:
-    """Which polygons turn back at no corner and go round once."""
+    """Return whether each polygon turns left at every corner, and by one full turn in total."""
     before, after = np.roll(flat, 1, axis=1), np.roll(flat, -1, axis=1)
     turns_left: Bool[ndarray, "n"] = np.all(_twice_signed_areas(before, flat, after) >= -1e-12, axis=1)
     if flat.shape[1] < 5:
@@ -204,120 +298,3 @@ def _are_convex(flat: Float[ndarray, "n N 2"]) -> Bool[ndarray, "n"]:
     angle = np.arctan2(step[..., 1], step[..., 0])
     turned = np.mod(np.diff(angle, axis=1, append=angle[:, :1]), 2 * np.pi)
     return turns_left & (turned.sum(axis=1) < 3 * np.pi)
-
-
-OBJ_DECIMALS = 8
-"""Digits of coordinates [m] in files that are written."""
-MAX_OBJ_ELEMENTS = 2**22
-"""Vertices, and triangles."""
-MAX_OBJ_LINE_CHARS = 2**20
-"""Characters: of a polygon of a hundred thousand corners."""
-_VERTEX_LINE = re.compile(rb"^v((?:[ \t]+[-+]?[\d.][-+\deE.]*){3})[ \t\r]*$", re.MULTILINE)
-_TRIANGLE_LINE = re.compile(rb"^f((?:[ \t]+\d{1,9}(?:/[\d/]*)?){3})[ \t\r]*$", re.MULTILINE)
-_ELEMENT_LINES = {kind: re.compile(rb"^[ \t\v\f]*" + kind + rb"[ \t]", re.MULTILINE) for kind in (b"v", b"f")}
-
-
-def parse_obj(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
-    """Parse vertices, and faces with polygons cut into triangles.
-
-    ``path`` is only named in errors: nothing is opened.
-
-    Parts, materials, normals and textures are passed over. Raises ``InputError``, which names the line.
-    """
-    content = files.strip_byte_order_mark(content)
-    if len(content) > 8 * MAX_OBJ_ELEMENTS:  # the shortest line of a vertex has 8 bytes
-        _check_element_counts(path, content)
-    vertices, faces = _parse_triangles_fast(content) or _parse_obj_lines(path, content)
-    if not len(faces):
-        raise InputError(path, "faces", f"{len(vertices)} vertices and no faces", "a mesh with faces")
-    if faces.max() >= len(vertices):
-        raise InputError(path, "faces", f"a face with vertex {faces.max() + 1}", f"1 to {len(vertices)}")
-    return vertices, faces
-
-
-def obj_content(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> bytes:
-    """Write plain triangles as an OBJ file, to 1e-8 m."""
-    points = f"v {' '.join([f'%.{OBJ_DECIMALS}f'] * 3)}\n" * len(vertices) % tuple(vertices.ravel().tolist())
-    corners = "f %d %d %d\n" * len(faces) % tuple((faces + 1).ravel().tolist())
-    return (points + corners).encode()
-
-
-def _check_element_counts(path: Path, content: bytes) -> None:
-    """Raise ``InputError`` for more lines of a kind than are allowed, before any is parsed."""
-    lines = content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
-    for kind, found in _ELEMENT_LINES.items():
-        if sum(1 for _ in islice(found.finditer(lines), MAX_OBJ_ELEMENTS + 1)) > MAX_OBJ_ELEMENTS:
-            raise InputError(
-                path, "", f"more than {MAX_OBJ_ELEMENTS} lines of {kind.decode()!r}", f"at most {MAX_OBJ_ELEMENTS}"
-            )
-
-
-def _parse_triangles_fast(content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]] | None:
-    """Read a file of plain triangles, as most large ones are, ten times as fast; None for any other file."""
-    other_line_ends = content.count(b"\r") != content.count(b"\r\n")
-    if other_line_ends or b"\\" in content or max(content.count(b"v "), content.count(b"f ")) > MAX_OBJ_ELEMENTS:
-        return None
-    points, corners = _VERTEX_LINE.findall(content), _TRIANGLE_LINE.findall(content)
-    if (len(points), len(corners)) != tuple(
-        sum(1 for _ in found.finditer(content)) for found in _ELEMENT_LINES.values()
-    ):
-        return None
-    try:
-        vertices = _parse_obj_numbers(b"".join(points), float)
-        faces = _parse_obj_numbers(re.sub(rb"/[\d/]*", b"", b"".join(corners)), np.int64)
-    except (ValueError, DeprecationWarning):  # text that is no number
-        return None
-    if len(vertices) != 3 * len(points) or len(faces) != 3 * len(corners) or faces.min(initial=1) < 1:
-        return None
-    return vertices.reshape(-1, 3), faces.reshape(-1, 3) - 1
-
-
-def _parse_obj_numbers(text: bytes, kind: type) -> Shaped[ndarray, "n"]:
-    """Numbers with spaces between. For text that is no number, numpy raises ``ValueError`` or, before 2.3, warns."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)
-        return np.fromstring(text, dtype=kind, sep=" ")
-
-
-def _parse_obj_lines(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
-    """Any file. Raises ``InputError``."""
-    text = content.decode("utf-8", "replace")  # names and comments may be in any encoding
-    vertices, counts, faces = array("d"), array("q"), array("q")
-    lines = io.StringIO(text.replace("\\\r\n", " ").replace("\\\n", " "), newline=None)
-    for number, line in enumerate(lines, start=1):
-        if len(line) > MAX_OBJ_LINE_CHARS:
-            raise InputError(path, f"line {number}", f"{len(line)} characters", f"at most {MAX_OBJ_LINE_CHARS}")
-        words = line.partition("#")[0].split()
-        try:
-            if words and words[0] == "v":
-                x, y, z = words[1:4]  # colours may follow
-                vertices.extend((float(x), float(y), float(z)))
-            elif words and words[0] == "f":
-                corners = [_parse_vertex_index(word, len(vertices) // 3) for word in words[1:]]
-                if len(corners) < 3:
-                    raise ValueError
-                counts.append(len(corners))
-                faces.extend(corners)
-        except ValueError as error:
-            expected = "v x y z" if words[0] == "v" else "f and three or more vertices, counted from 1"
-            raise InputError(path, f"line {number}", files.shorten_value(line.rstrip("\n")), expected) from error
-        if len(vertices) > 3 * MAX_OBJ_ELEMENTS or len(faces) - 2 * len(counts) > MAX_OBJ_ELEMENTS:
-            raise InputError(
-                path,
-                f"line {number}",
-                f"more than {MAX_OBJ_ELEMENTS} vertices or triangles",
-                f"at most {MAX_OBJ_ELEMENTS}",
-            )
-    points = np.array(vertices, dtype=float).reshape(-1, 3)
-    return points, triangulate_polygons(path, points, np.array(counts, dtype=np.int64), np.array(faces, dtype=np.int64))
-
-
-def _parse_vertex_index(word: str, vertices: int) -> int:
-    """Return the vertex of a corner ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``.
-
-    Negative ones count back from the latest.
-    """
-    index = int(word.partition("/")[0])
-    if index == 0 or index < -vertices or index > 2**62:
-        raise ValueError
-    return index - 1 if index > 0 else vertices + index

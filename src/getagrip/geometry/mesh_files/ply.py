@@ -1,6 +1,6 @@
-"""Stanford's .ply: vertices and polygons, text or binary of either byte order.
+"""Stanford's .ply files: vertices and polygons, as text or binary in either byte order.
 
-Our own, since trimesh cuts every polygon into a fan, and refuses binary files whose polygons differ in their corners.
+Not read by trimesh, which cuts every polygon into a fan, and refuses binary files of polygons of several sizes.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ PLY_BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian"
 VERTEX_INDEX_PROPERTIES = ("vertex_indices", "vertex_index")
 EXPECTED_PLY = "a whole .ply file"
 MAX_RAGGED_ROWS = 2**20
-"""Rows that are read one by one: some seconds."""
+"""Maximum number of rows read one by one: some seconds."""
 
 
 class PlyProperty(NamedTuple):
-    """A number, or a list of them; types as numpy names them."""
+    """A number or a list of numbers, in numpy's types."""
 
     name: str
     type: str
@@ -41,7 +41,7 @@ class PlyProperty(NamedTuple):
 
 @dataclass(frozen=True)
 class PlyElement:
-    """Rows of a kind."""
+    """A table: its name, number of rows and columns."""
 
     name: str
     length: int
@@ -49,13 +49,11 @@ class PlyElement:
 
 
 Columns = dict[str, tuple[Int[ndarray, "n"], ndarray]]
-"""For each property: the number of values in each row, and all values one after the other."""
+"""For each property: the number of values in each row, and all values concatenated."""
 
 
 def parse_ply(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
-    """Parse vertices, and faces with polygons cut into triangles.
-
-    ``path`` is only named in errors.
+    """Parse vertices, and faces with polygons cut into triangles; ``path`` is only named in errors.
 
     Raises ``InputError``.
     """
@@ -74,9 +72,8 @@ def parse_ply(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
             got = f"fewer rows of {files.shorten_value(element.name)} than {element.length}, or other ones"
             raise InputError(path, key, got, f"{element.length}, as its header says; is it cut short?") from error
         if columns is None:
-            got = (
-                f"more than {MAX_RAGGED_ROWS} rows of {files.shorten_value(element.name)} with lists of several lengths"
-            )
+            rows = f"more than {MAX_RAGGED_ROWS} rows of {files.shorten_value(element.name)}"
+            got = f"{rows} with lists of several lengths"
             raise InputError(path, key, got, "triangles: triangulate the mesh where it was made")
         if element.name == "vertex":
             if not all(axis in columns for axis in "xyz"):
@@ -97,7 +94,7 @@ def parse_ply(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
 
 
 def _parse_ply_header(path: Path, content: bytes) -> tuple[str, list[PlyElement], int]:
-    """Read the header: format, kinds of rows, and the position where the rows begin. Raises ``InputError``."""
+    """Parse the header: format, elements, and the position of the first row. Raises ``InputError``."""
     end = content.find(b"end_header", 0, 2**16)
     after = content.find(b"\n", end) + 1
     if not content.startswith(b"ply") or end < 0 or not after:
@@ -135,7 +132,7 @@ class _TextBody:
         self.at = 0
 
     def table(self, element: PlyElement, counts: list[int]) -> Columns | None:
-        """Read all rows of an element whose lists have the lengths ``counts``; None where a row's are others."""
+        """Read all rows of an element whose lists have the lengths ``counts``; None if any row's differ."""
         width = sum(count + bool(p.counted) for p, count in zip(element.properties, counts, strict=True))
         values = self.values[self.at : self.at + element.length * width]
         if len(values) < element.length * width:
@@ -152,7 +149,7 @@ class _TextBody:
         return columns
 
     def take(self, kind: str, count: int) -> ndarray:
-        """Read the next numbers."""
+        """Read the next ``count`` numbers."""
         if not 0 <= count <= len(self.values) - self.at:
             raise ValueError
         self.at += count
@@ -166,7 +163,7 @@ class _BinaryBody:
         self.content, self.at, self.order = content, start, order
 
     def table(self, element: PlyElement, counts: list[int]) -> Columns | None:
-        """Read all rows of an element whose lists have the lengths ``counts``; None where a row's are others."""
+        """Read all rows of an element whose lists have the lengths ``counts``; None if any row's differ."""
         fields: list[tuple[str, str, int]] = []
         for n, (p, count) in enumerate(zip(element.properties, counts, strict=True)):
             fields += [(f"count{n}", self.order + p.counted, 1)] if p.counted else []
@@ -184,7 +181,7 @@ class _BinaryBody:
         return columns
 
     def take(self, kind: str, count: int) -> ndarray:
-        """Read the next numbers, of a type."""
+        """Read the next ``count`` numbers of a type."""
         dtype = np.dtype(self.order + kind)
         if not 0 <= count <= (len(self.content) - self.at) // dtype.itemsize:
             raise ValueError
@@ -193,9 +190,9 @@ class _BinaryBody:
 
 
 def _read_element_rows(element: PlyElement, body: _TextBody | _BinaryBody) -> Columns | None:
-    """Read the rows of an element: at once where all lists are as long as those of the first, else one by one.
+    """Read the rows of an element: at once if all lists are as long as the first row's, else one by one.
 
-    None where these are too many. Raises ``ValueError`` and ``OverflowError`` for what is not there.
+    None if there are more than ``MAX_RAGGED_ROWS``. Raises ``ValueError`` and ``OverflowError`` for missing data.
     """
     start, counts = body.at, list[int]()
     for p in element.properties if element.length else []:

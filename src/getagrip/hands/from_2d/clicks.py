@@ -1,16 +1,16 @@
-"""From joints clicked on a few frames to a hand in every frame: the generic hand, one shape, one way to hold.
+"""Fit the generic hand in every frame to joints clicked on a few frames: one shape, one grasp.
 
-Minimised is, over the shape b, the grasp g, and for each clicked frame n the pose q_n and the rigid motion T_n,
+The fit minimises, over the shape b, the grasp g, and for each clicked frame n the pose q_n and the rigid motion T_n,
 
     sum_n,i rho(|project(K, T_n X_i(b, q_n)) - y_n,i| / noise_n,i) + sum_n |q_n - g|^2 / LOOSENESS^2
         + |prior(g)|^2 + |b / spread|^2
 
 by Levenberg-Marquardt on the block-arrow normal equations of ``hands.fit_joints``, with rho(r) = c^2 log(1 + r^2 / c^2)
-(Cauchy), so that a few wrong clicks count little. The fingers of a hand that holds something hardly move: joints that
-are hidden in one frame are known from the others.
+(Cauchy), so that a few wrong clicks count little. The fingers of a grasping hand hardly move: joints hidden in one
+frame are known from the others.
 
-One view determines neither the size of a hand nor its distance. The size is that of the generic hand, a guess, and the
-distance follows from it. Between clicked frames the hand moves smoothly; before the first and after the last it stays.
+One view determines neither the size of a hand nor its distance. The size is assumed, the generic hand's, and the
+distance follows from it. Between clicked frames the hand moves smoothly; before the first and after the last it rests.
 """
 
 from __future__ import annotations
@@ -29,7 +29,15 @@ from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic
-from getagrip.hands.fit_joints import Chains, Equations, PosePrior, apply_hand_step, descend, joints_and_jacobian
+from getagrip.hands.fit_joints import (
+    Chains,
+    Equations,
+    PosePrior,
+    apply_hand_step,
+    descend,
+    joints_and_jacobian,
+    model_pose,
+)
 from getagrip.hands.from_2d.hidden_joints import OcclusionDistances
 from getagrip.hands.from_2d.rigid_pnp import (
     CLICK_OUTLIER_SIGMAS,
@@ -38,41 +46,43 @@ from getagrip.hands.from_2d.rigid_pnp import (
     place_rigid_hands,
     turning_cost,
 )
-from getagrip.hands.model import KNUCKLES, HandModel, Side, hand_track
+from getagrip.hands.model import HandModel, Side, hand_track
 
 ASSUMED_SCALE_NOTE = "a guess: the generic hand has the size of a mean one, and its distance follows from that"
 
 MIN_CLICKED_JOINTS = 6
-"""Joints that a frame must have."""
+"""Minimum number of joints clicked on a frame."""
 MIN_CLICK_EXTENT_PX = 10.0
-"""Extent of the clicks of a frame [px]."""
+"""Minimum extent of a frame's clicks [px]."""
 GRASP_POSE_SIGMA_RAD = 0.12
-"""Standard deviation of each number of the fingers' pose from that of the grasp [rad]."""
+"""Standard deviation of each pose parameter of the fingers from the grasp's [rad]."""
 INITIAL_CURLS_RAD = ((0.3, 0.3, 0.3), (0.9, 0.6, 0.4))
-"""Bends of the fingers that are tried at first, from knuckle to fingertip [rad]."""
+"""Initial bends of the fingers, from knuckle to fingertip [rad]; the best fit counts."""
 MAX_PLACEMENT_ITERATIONS = 4
-"""Rounds of placing hands and fitting them."""
+"""Maximum number of rounds of placing hands and fitting them."""
 MAX_CLICK_STEPS = 60
 COST_TOLERANCE = 1e-5
-"""Stop when a round lowers the cost by less than this share of it."""
+"""Relative decrease of the cost below which the rounds end."""
 N_GRASP_PARAMETERS = 45
-"""Numbers of the grasp, after the frames' 51 and before the shape."""
-
-Curl = tuple[float, float, float]
+"""Number of grasp parameters, after the 51 of each frame and before the shape's."""
 
 
 @dataclass(frozen=True)
 class ClickedHands:
-    """A hand in every frame, fitted to clicks on some of them."""
+    """A hand in every frame, fitted to clicks on n of them.
+
+    Attributes:
+        hand: the hand in each frame from the first to the last.
+        keys: the clicked frames.
+        residuals: (n, 21) distance of each fitted joint from its click [px]; NaN without a click.
+        outliers: (n, 21) clicks beyond ``CLICK_OUTLIER_SIGMAS``.
+        shape: (S,) shape parameters.
+    """
 
     hand: HandTrack
-    """In each frame from the first to the last."""
     keys: tuple[int, ...]
-    """The frames that were clicked."""
     residuals: Float[ndarray, "n 21"]
-    """Distance of each fitted joint from its click [px]; NaN where there is none."""
     outliers: Bool[ndarray, "n 21"]
-    """Clicks that do not fit the others."""
     shape: Float[ndarray, "S"]
 
 
@@ -82,8 +92,8 @@ def hands_from_clicks(
     """Fit the hand in the frames ``first`` to ``last``, both included, to joints clicked on some of them [px].
 
     ``clicks`` (21, 2) are wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip, NaN where not
-    clicked. Raises ``UsageError`` for no clicked frame, for one with fewer than ``MIN_CLICKED_JOINTS`` joints or outside the
-    interval, and for clicks that no hand looks like.
+    clicked. Raises ``UsageError`` for no clicked frame, for one with fewer than ``MIN_CLICKED_JOINTS`` joints or
+    outside the interval, and for clicks that no hand fits.
     """
     _check_clicks(clicks, first, last)
     keys = tuple(sorted(clicks))
@@ -116,13 +126,12 @@ def _check_clicks(clicks: Mapping[int, Float[ndarray, "..."]], first: int, last:
             raise UsageError(f"joints of frame {n} must be {MIN_CLICKED_JOINTS} at least, or none (got {count})")
         extent = float(np.max(np.nanmax(points, axis=0) - np.nanmin(points, axis=0)))
         if extent < MIN_CLICK_EXTENT_PX:
-            raise UsageError(
-                f"joints of frame {n} must be {MIN_CLICK_EXTENT_PX:g} px apart or more (got all within {extent:.3g} px)"
-            )
+            got = f"all within {extent:.3g} px"
+            raise UsageError(f"joints of frame {n} must be {MIN_CLICK_EXTENT_PX:g} px apart or more (got {got})")
 
 
 def check_found(keys: Sequence[int], found: ClickUnknowns) -> None:
-    """Raise ``UsageError`` where clicks led to no hand."""
+    """Raise ``UsageError`` for an impossible fit: outside the camera's range, or with a joint turned by over pi."""
     for n, T, q in zip(keys, found.T, found.q, strict=True):
         if not MIN_CAMERA_RANGE_M < T[2, 3] < MAX_CAMERA_RANGE_M or np.abs(q).max() > np.pi:
             raise UsageError(f"joints of frame {n}: no hand looks like that; is the side right, and each joint's name?")
@@ -138,12 +147,11 @@ class ClickUnknowns(NamedTuple):
     grasp: Float[ndarray, "1 5 3 3"]
     """Prior mean of all q."""
     shape: Float[ndarray, "S"]
-
     wrist: Float[ndarray, "3"]
-    """Wrist of the mean hand, which rotations are about."""
+    """Wrist of the mean hand, the centre of rotations."""
 
     def retract(self, frames: Float[ndarray, "n 51"], shared: Float[ndarray, "s"]) -> ClickUnknowns:
-        """Apply a step: each hand shifts in its own axes and turns about the wrist, the rest adds up."""
+        """Apply a step (``apply_hand_step``); poses, grasp and shape add up."""
         return self._replace(
             T=apply_hand_step(self.T, frames[:, :6], self.wrist),
             q=self.q + frames[:, 6:].reshape(self.q.shape),
@@ -153,18 +161,18 @@ class ClickUnknowns(NamedTuple):
 
 
 class ClickFit(NamedTuple):
-    """The fit: unknowns, observations and their weights."""
+    """The fit: hand model, observations and their weights."""
 
     model: HandModel
     chains: Chains
     prior: PosePrior
     clicks: Clicks
     looseness: float = GRASP_POSE_SIGMA_RAD
-    """Standard deviation of each number of the fingers' pose from that of the grasp [rad]."""
+    """Standard deviation of each pose parameter of the fingers from the grasp's [rad]."""
     repeats: float = 1.0
-    """Frames whose joints are wrong in the same way: their evidence of what frames share counts as that of one."""
+    """Number of frames with the same errors, which count as one frame for the shared parameters."""
     hiding: OcclusionDistances | None = None
-    """Places that can hide joints; None: anywhere."""
+    """Distances from pixels that can hide joints; None: all can."""
 
     def equations(self, guess: ClickUnknowns) -> Equations:
         """Compute the cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, grasp, shape)."""
@@ -182,7 +190,7 @@ class ClickFit(NamedTuple):
             H[:, at + i, at + i] += 1.0 / self.looseness**2
             H[:, at + i, 57 - at + i] -= 1.0 / self.looseness**2
             g[:, at + i] += sign * off / self.looseness
-        # What is shared has its own priors; they are shared out among the frames, so that the sum has them once.
+        # The priors of shared parameters are divided among the frames, so that their sum has them once.
         p, P = self.prior.residuals(guess.grasp)
         b, share = guess.shape / self.model.shape_spread, self.repeats / n
         H[:, 51:96, 51:96] += share * P[0].T @ P[0]
@@ -192,27 +200,26 @@ class ClickFit(NamedTuple):
         return float(np.sum(costs) + np.sum(off**2) + self.repeats * (np.sum(p**2) + b @ b)), H, g
 
     def residuals(self, guess: ClickUnknowns) -> Float[ndarray, "n 21"]:
-        """Compute the distance of each joint from its click [px]; NaN where there is none."""
+        """Compute the distance of each joint from its click [px]; NaN without a click."""
         X, _ = joints_and_jacobian(self.chains, guess.q, guess.shape)
         off = project(self.clicks.K, se3.transform(guess.T, X)) - self.clicks.y
         return np.where(self.clicks.there, np.linalg.norm(off, axis=-1), np.nan)
 
     def near(self, guess: ClickUnknowns) -> tuple[ClickUnknowns, float]:
-        """Fit the hands near a guess; also return their cost."""
+        """Fit the hands, starting at a guess; also return their cost."""
         found, cost, _ = descend(guess, self.equations, MAX_CLICK_STEPS)
         return found, cost
 
 
 def fit_clicked_hands(fit: ClickFit) -> ClickUnknowns:
-    """Fit the hands, from fingers that are bent in several ways."""
+    """Fit the hands from each of ``INITIAL_CURLS_RAD``, and return the best fit."""
     return min((_fit_from_curl(fit, curl) for curl in INITIAL_CURLS_RAD), key=lambda each: each[1])[0]
 
 
-def _fit_from_curl(fit: ClickFit, curl: Curl) -> tuple[ClickUnknowns, float]:
-    """Fit the hands from fingers that are bent by ``curl``; also return their cost.
+def _fit_from_curl(fit: ClickFit, curl: tuple[float, float, float]) -> tuple[ClickUnknowns, float]:
+    """Fit the hands from fingers bent by ``curl`` [rad]; also return their cost.
 
-    After a fit the orientation of the hands is known better: they are placed and fitted anew
-    as long as that helps.
+    A fit improves the fingers, so that the hands are placed and fitted again as long as the cost decreases.
     """
     prior, chains = fit.prior, fit.chains
     grasp, shape = prior.mean.copy(), np.zeros(len(fit.model.shape_names))
@@ -220,9 +227,8 @@ def _fit_from_curl(fit: ClickFit, curl: Curl) -> tuple[ClickUnknowns, float]:
     best, cost = None, np.inf
     for _ in range(MAX_PLACEMENT_ITERATIONS):
         T = place_rigid_hands(chains, fit.clicks, grasp, shape)
-        found, new_cost = fit.near(
-            ClickUnknowns(T, np.tile(grasp, (len(T), 1, 1, 1)), grasp[None], shape, chains.wrist)
-        )
+        guess = ClickUnknowns(T, np.tile(grasp, (len(T), 1, 1, 1)), grasp[None], shape, chains.wrist)
+        found, new_cost = fit.near(guess)
         new_cost += float(turning_cost(found.T[:-1, :3, :3], found.T[1:, :3, :3]).sum())
         if best is not None and new_cost > (1.0 - COST_TOLERANCE) * cost:
             break
@@ -234,10 +240,10 @@ def _fit_from_curl(fit: ClickFit, curl: Curl) -> tuple[ClickUnknowns, float]:
 def interpolate_key_hands(
     keys: Sequence[int], T: Float[ndarray, "n 4 4"], q: Float[ndarray, "n 5 3 3"], first: int, last: int
 ) -> tuple[Float[ndarray, "T 4 4"], Float[ndarray, "T 5 3 3"]]:
-    """Interpolate hands in all frames: smooth through those of the keys, at rest beyond them.
+    """Interpolate hands smoothly from the key frames to all frames; before the first and after the last they rest.
 
-    Positions go along straight rays' pixels and log depths (so that a hand in view stays in view), fingers along
-    monotone cubic splines, rotations along a spline of continuous acceleration.
+    Positions are interpolated in pixels and log depth (so that a hand in view stays in view) and fingers by monotone
+    cubic splines, rotations by a spline of continuous acceleration.
     """
     from scipy.interpolate import PchipInterpolator
     from scipy.spatial.transform import Rotation, RotationSpline
@@ -252,11 +258,3 @@ def interpolate_key_hands(
     u, v, log_z = PchipInterpolator(keys, seen)(at).T
     z = np.exp(log_z)
     return se3.rigid(R, np.column_stack([u * z, v * z, z])), PchipInterpolator(keys, q)(at)
-
-
-def model_pose(q: Float[ndarray, "T 5 3 3"]) -> Float[ndarray, "T 45"]:
-    """Return the fingers' rotation vectors in the order of the model's joints."""
-    pose = np.zeros((len(q), 45))
-    for n, knuckle in enumerate(KNUCKLES):
-        pose[:, 3 * knuckle - 3 : 3 * knuckle + 6] = q[:, n].reshape(len(q), 9)
-    return pose

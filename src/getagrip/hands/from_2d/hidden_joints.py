@@ -1,7 +1,7 @@
-"""Joints that are not seen: they are behind the object or the hand itself, not on the background.
+"""Hidden joints: they are behind the object or the hand itself, not in front of the background.
 
-A joint that would lie beside every pixel of the hand, and beside the object, would be seen there. So each joint pays
-for its distance from the pixels that may hide it, by the same robust cost as a click (``placed_hands``).
+A joint away from all pixels of hand and object would be visible. So each joint costs its distance from the pixels that
+can hide it, by the same robust cost as a click (``rigid_pnp``).
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from numpy import ndarray
 from getagrip.hands.from_2d.rigid_pnp import CLICK_OUTLIER_SIGMAS, project_hand_joints
 
 MAX_DISTANCE_IMAGE_PX = 320
-"""Largest side of the images of distances [px]."""
+"""Maximum side of the images of distances [px]."""
 
 
 class OcclusionDistances(NamedTuple):
-    """Pixels that show a hand or may hide it, in n frames."""
+    """Distances from the pixels that show a hand or can hide it, in n frames."""
 
     distance: Float[ndarray, "n h w"]
-    """Distance of each pixel from them [px of the video's image]; zero in frames about which nothing is known."""
+    """Distance of each pixel [px of the video]; zero in frames without masks."""
     zoom: float
-    """Pixels of these images per pixel of the video's."""
+    """Pixels of ``distance`` per pixel of the video."""
 
     @staticmethod
     def of(possible: Bool[ndarray, "n h w"], zoom: float) -> OcclusionDistances:
-        """Measure distances from the pixels that show the hand or may hide it, in images reduced by ``zoom``."""
+        """Measure distances from the ``possible`` pixels, in images scaled by ``zoom``."""
         import cv2
 
         off = [cv2.distanceTransform((~each).astype(np.uint8), cv2.DIST_L2, 5) / zoom for each in possible]
@@ -36,11 +36,11 @@ class OcclusionDistances(NamedTuple):
         return OcclusionDistances(np.where(known[:, None, None], np.array(off).reshape(possible.shape), 0.0), zoom)
 
     def take(self, rows: ndarray) -> OcclusionDistances:
-        """Return some of the frames."""
+        """Return the distances of some frames."""
         return self._replace(distance=self.distance[rows])
 
     def at(self, uv: Float[ndarray, "n k 2"]) -> tuple[Float[ndarray, "n k"], Float[ndarray, "n k 2"]]:
-        """Return the distance at points [px], and its derivative; zero outside the image, where nothing is seen."""
+        """Return the distance at points [px], and its derivative; both zero outside the image."""
         n, h, w = self.distance.shape
         if not (n and h > 1 and w > 1):
             return np.zeros(uv.shape[:2]), np.zeros(uv.shape)
@@ -62,7 +62,7 @@ class OcclusionDistances(NamedTuple):
         X: Float[ndarray, "n 21 3"],
         J: Float[ndarray, "n 21 3 D"],
     ) -> tuple[Float[ndarray, "n"], Float[ndarray, "n D D"], Float[ndarray, "n D"]]:
-        """Compute each frame's cost, J^T J and J^T r, as ``placed_hands.equations`` does for clicks."""
+        """Compute each frame's cost, J^T J and J^T r, as ``click_equations`` does for clicks."""
         uv, by_joint = project_hand_joints(K, T, X, J)
         off, slope = self.at(uv)
         r = off / noise

@@ -1,12 +1,12 @@
-"""Fit a hand in every frame to 2D landmarks: the fit to clicks, with the errors of networks.
+"""Fit a hand in every frame to a network's 2D landmarks: the fit to clicks, with the errors of networks.
 
-A network makes similar errors in similar frames, so its landmarks are not independent: for the hand's shape and grip,
+A network makes similar errors in similar frames, so its landmarks are not independent: for the hand's shape and grasp,
 all frames together count as one. Otherwise they would outweigh the prior on the hand's size, and the hand would shrink
-to a few centimetres in front of the camera. The result is smoothed over time. The size of the network's errors is
-estimated from the residuals of a first fit.
+to a few centimetres in front of the camera. The standard deviation of the errors is estimated from the residuals of a
+first fit. The result is smoothed over time.
 
-Where masks are known, landmarks on pixels that show something else than the hand or the object are not used, and the
-joints are kept off these pixels (``hidden_joints``).
+With masks, landmarks on pixels of neither hand nor object are ignored, and joints are kept off these pixels
+(``hidden_joints``).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from getagrip.clip import HandTrack
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.hands import generic
-from getagrip.hands.fit_joints import Chains, PosePrior
+from getagrip.hands.fit_joints import Chains, PosePrior, model_pose
 from getagrip.hands.from_2d.clicks import (
     GRASP_POSE_SIGMA_RAD,
     MIN_CLICKED_JOINTS,
@@ -31,39 +31,37 @@ from getagrip.hands.from_2d.clicks import (
     check_found,
     fit_clicked_hands,
     interpolate_key_hands,
-    model_pose,
 )
 from getagrip.hands.from_2d.hidden_joints import OcclusionDistances
 from getagrip.hands.from_2d.rigid_pnp import CLICK_SIGMA_M, Clicks
 from getagrip.hands.model import Side, hand_track
 
 LIFTED_HANDS_NOTE = "lifted to the generic hand"
-"""Words in the provenance of hands that are made of landmarks alone, and can be made of them again."""
+"""Provenance of hands made of landmarks alone, which can be fitted to them again."""
 LANDMARK_SIGMA_M = 0.009
-"""Least standard deviation of a landmark, at the hand [m]; that of a first fit."""
+"""Minimum standard deviation of a landmark, at the hand [m]; used in the first fit."""
 SIGMA_PER_RESIDUAL = 3.0
-"""Standard deviation beside the median residual of the first fit: residuals are less than errors. Where errors are
-taken for less, fingers and palm follow them, and as they make the hand larger in the image, it comes nearer
-(docs/trials.md)."""
+"""Standard deviation of landmarks as a multiple of the first fit's median residual: residuals are smaller than errors.
+With a smaller one, fingers and palm follow the errors, and the hand grows and comes nearer (docs/trials.md)."""
 MAX_KEY_FRAMES = 24
-"""Largest number of frames that are fitted from scratch; the others start from interpolated poses."""
+"""Maximum number of frames fitted from scratch; the others start from interpolated poses."""
 MIN_LANDMARK_CONFIDENCE = 0.05
-"""Landmarks of less confidence are ignored."""
+"""Confidence below which a landmark is ignored."""
 MAX_LANDMARK_GAP_FRAMES = 10
-"""Longest gap without landmarks that is interpolated [frames]."""
+"""Maximum number of frames without landmarks that are interpolated."""
 SMOOTHING_SIGMA_FRAMES = {"place": 2.0, "turn": 3.0, "depth": 4.0}
 """Standard deviations of the smoothing in time [frames]."""
 
 
 @dataclass(frozen=True)
 class LiftedHands:
-    """A hand in those frames that have landmarks, or are between such by no more than ``MAX_LANDMARK_GAP_FRAMES``."""
+    """A hand in all frames with landmarks, and in gaps of up to ``MAX_LANDMARK_GAP_FRAMES`` between them."""
 
     hand: HandTrack
     rows: tuple[int, ...]
-    """These frames."""
+    """The frames with a hand."""
     residuals: Float[ndarray, "n 21"]
-    """Distance of each joint from its landmark [px]; NaN where there is none."""
+    """Distance of each joint from its landmark [px]; NaN without one."""
     shape: Float[ndarray, "S"]
 
 
@@ -78,18 +76,17 @@ def hands_from_landmarks(
 ) -> LiftedHands:
     """Fit the hand to landmarks [px], in this package's order.
 
-    ``depth`` is each one's along the ray, up to a plane over the image [m], if the network estimates it, NaN in frames
-    where it is unknown; it has a low weight. ``hiding`` says, for the T frames, where joints may be.
-    ``looseness`` is the standard deviation of each number of the fingers' pose from the mean one [rad].
+    ``depth`` is the network's depth of each landmark along its ray, up to a plane over the image [m], NaN in frames
+    without it; it has a low weight. ``hiding`` are the distances from pixels that can hide joints. ``looseness`` is the
+    standard deviation of each pose parameter of the fingers from the mean pose's [rad].
 
-    Raises ``UsageError`` where no frame has ``MIN_CLICKED_JOINTS`` landmarks, or no hand looks like them.
+    Raises ``UsageError`` if no frame has ``MIN_CLICKED_JOINTS`` landmarks, or no hand fits them.
     """
     seen = np.isfinite(points).all(axis=-1) & (confidence >= MIN_LANDMARK_CONFIDENCE)
     rows = np.flatnonzero(seen.sum(axis=1) >= MIN_CLICKED_JOINTS)
     if not len(rows):
-        raise UsageError(
-            f"landmarks must be {MIN_CLICKED_JOINTS} at least in some frame (got {seen.sum(axis=1).max(initial=0)})"
-        )
+        most = seen.sum(axis=1).max(initial=0)
+        raise UsageError(f"landmarks must be {MIN_CLICKED_JOINTS} at least in some frame (got {most})")
     points_seen = np.where(seen[..., None], points, np.nan)[rows]
     depth_seen = np.full((len(rows), 21), np.nan) if depth is None else depth[rows]
     clicks = _landmarks_to_clicks(K, points_seen, confidence[rows], depth_seen)
@@ -129,31 +126,29 @@ def _landmarks_to_clicks(
     confidence: Float[ndarray, "n 21"],
     depth: Float[ndarray, "n 21"],
 ) -> Clicks:
-    """Landmarks as clicks, as noisy as landmarks are."""
+    """Convert landmarks to clicks with landmarks' noise, which decreases with confidence."""
     known = np.isfinite(depth).all(axis=1)
     depth = np.where(known[:, None], depth, 0.0)
-    noisy = Clicks.of(K, points)
-    noise = (
-        noisy.noise * (LANDMARK_SIGMA_M / CLICK_SIGMA_M) / np.sqrt(np.clip(confidence, MIN_LANDMARK_CONFIDENCE, 1.0))
-    )
-    return noisy._replace(noise=noise, depth=depth, depth_known=known)
+    clicks, certain = Clicks.of(K, points), np.sqrt(np.clip(confidence, MIN_LANDMARK_CONFIDENCE, 1.0))
+    noise = clicks.noise * (LANDMARK_SIGMA_M / CLICK_SIGMA_M) / certain
+    return clicks._replace(noise=noise, depth=depth, depth_known=known)
 
 
 def _drop_unoccludable_landmarks(clicks: Clicks, hiding: OcclusionDistances) -> Clicks:
-    """Leave out landmarks beside all pixels that could hide them, except in frames that would have too few."""
+    """Drop landmarks away from all pixels that could hide them, except in frames that would have too few left."""
     there = clicks.there & (hiding.at(clicks.y)[0] <= clicks.noise)
     enough = there.sum(axis=1) >= MIN_CLICKED_JOINTS
     return clicks._replace(there=np.where(enough[:, None], there, clicks.there))
 
 
 def _choose_key_frames(rows: Int[ndarray, "n"], confidence: Float[ndarray, "n"]) -> Int[ndarray, "k"]:
-    """Return the most certain of each of ``MAX_KEY_FRAMES`` equal parts."""
+    """Return the frame of highest confidence in each of ``MAX_KEY_FRAMES`` equal parts."""
     parts = np.array_split(np.arange(len(rows)), min(MAX_KEY_FRAMES, len(rows)))
     return np.array([part[np.argmax(confidence[part])] for part in parts])
 
 
 def _bridge_gaps(rows: Int[ndarray, "n"], count: int) -> Bool[ndarray, "T"]:
-    """Frames from the first to the last row that are one, or between two that are near."""
+    """Return which frames from the first to the last row are a row, or in a short gap between two."""
     kept = np.zeros(count, dtype=bool)
     at = rows - rows[0]
     kept[at] = True
@@ -166,10 +161,7 @@ def _bridge_gaps(rows: Int[ndarray, "n"], count: int) -> Bool[ndarray, "T"]:
 def _smooth_hands(
     rows: Int[ndarray, "n"], T: Float[ndarray, "n 4 4"], q: Float[ndarray, "n 5 3 3"]
 ) -> tuple[Float[ndarray, "n 4 4"], Float[ndarray, "n 5 3 3"]]:
-    """Smooth by local lines through the frames about each, with weights that fall with time.
-
-    The lines are robust, so that one wrong frame moves no other.
-    """
+    """Smooth by robust local lines with weights that decrease with time: a wrong frame moves no other."""
     t = T[:, :3, 3]
     place = _fit_local_lines(rows, t[:, :2] / t[:, 2:], SMOOTHING_SIGMA_FRAMES["place"])
     z = np.exp(_fit_local_lines(rows, np.log(t[:, 2:]), SMOOTHING_SIGMA_FRAMES["depth"]))
@@ -181,7 +173,7 @@ def _smooth_hands(
 
 
 def _fit_local_lines(rows: Int[ndarray, "n"], values: Float[ndarray, "n d"], width: float) -> Float[ndarray, "n d"]:
-    """Fit a line about each row, twice, with lower weights for outliers; return its values."""
+    """Fit a line around each row, twice, with lower weights for outliers; return the lines' values at the rows."""
     out = values
     apart = (rows[:, None] - rows).astype(float)
     for _ in range(2):

@@ -1,7 +1,7 @@
-"""Stiff hands laid on clicked joints: which way each hand is turned before the camera, and how well that fits.
+"""Place rigid hands by clicked joints (perspective-n-point): the clicks, their robust cost, and the search for poses.
 
-The cost of a click at r standard deviations from its joint is c^2 log(1 + r^2 / c^2) (Cauchy), so that a few wrong ones
-count little.
+The cost of a click at r standard deviations from its joint is c^2 log(1 + r^2 / c^2) (Cauchy), so that a few wrong
+clicks count little.
 """
 
 from __future__ import annotations
@@ -19,58 +19,63 @@ from getagrip.hands.fit_joints import JOINT_SIGMA_M, Chains, apply_hand_step, jo
 from getagrip.least_squares import DampingRules, damp_hessian, minimise
 
 CLICK_SIGMA_M = 0.005
-"""Standard deviation of a click beside that of the joints themselves, at the hand [m]."""
+"""Standard deviation of a click, in addition to the joints' own, at the hand [m]."""
 JOINT_DEPTH_SIGMA_M = 0.025
 """Standard deviation of a network's depths of joints about a plane [m]."""
 COLLINEAR_RIDGE = 1e-3
-"""Joints as flat as this share of their variance in the image lie on a line."""
+"""Ridge of the plane fit, for collinear joints, as a fraction of their variance in the image."""
 CLICK_OUTLIER_SIGMAS = 2.5
-"""Clicks beyond this number of standard deviations are outliers."""
+"""Number of standard deviations beyond which a click is an outlier."""
 N_PLACEMENT_ROTATIONS = 48
-"""Rotations that are tried, spread evenly."""
+"""Number of initial rotations, uniform over SO(3)."""
 N_PLACEMENT_STEPS = 12
-"""Number of steps of each of them."""
+"""Number of steps from each rotation."""
 PLACEMENT_RULES = DampingRules(success=0.1, failure=10.0, least=0.0, most=np.inf, rejections=np.inf, tolerance=0.0)
-"""No hand is done before the others."""
+"""No early convergence: all hands take all steps."""
 TURN_SIGMA_RAD = 0.7
-"""A hand turns about so much from one clicked frame to the next [rad]."""
+"""Standard deviation of a hand's rotation between consecutive clicked frames [rad]."""
 
 
 class Clicks(NamedTuple):
-    """Clicked joints."""
+    """Joints clicked on n frames.
+
+    Attributes:
+        K: (3, 3) intrinsics [px].
+        y: (n, 21, 2) positions [px]; zero where not clicked.
+        there: (n, 21) whether each joint is clicked.
+        noise: (n, 21) standard deviation of each click [px].
+        depth: (n, 21) depth of each joint along the ray to the hand, up to a plane over the image [m].
+        depth_known: (n,) frames with depths.
+    """
 
     K: Float[ndarray, "3 3"]
     y: Float[ndarray, "n 21 2"]
-    """Pixels; zero where not clicked."""
     there: Bool[ndarray, "n 21"]
     noise: Float[ndarray, "n 21"]
-    """Standard deviation of each [px]."""
     depth: Float[ndarray, "n 21"]
-    """Distance of each along the ray to the hand, up to a plane over the image [m]; used where ``depth_known``."""
     depth_known: Bool[ndarray, "n"]
 
     @staticmethod
     def of(K: Float[ndarray, "3 3"], points: Float[ndarray, "n 21 2"]) -> Clicks:
-        """Convert the noise from metres to pixels by the extent of the hand in the image."""
+        """Make clicks of ``points`` [px], NaN where not clicked; their noise follows from the hand's extent."""
         there = ~np.isnan(points).any(axis=-1)
         flat = generic.load("right").with_shape().with_pose().joints
-        per_metre = np.array(
-            [_mean_radius(y[seen]) / _mean_radius(flat[seen]) for y, seen in zip(points, there, strict=True)]
-        )
+        pairs = zip(points, there, strict=True)
+        per_metre = np.array([_mean_radius(y[seen]) / _mean_radius(flat[seen]) for y, seen in pairs])
         noise = per_metre[:, None] * np.hypot(JOINT_SIGMA_M, CLICK_SIGMA_M)
         none = np.zeros(len(points), dtype=bool)
         return Clicks(K, np.where(there[..., None], points, 0.0), there, noise, np.zeros(there.shape), none)
 
 
 def _mean_radius(points: Float[ndarray, "n d"]) -> float:
-    """Mean distance from the middle, at least a trifle."""
+    """Compute the mean distance from the centroid, at least 1e-6."""
     return max(float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean()), 1e-6)
 
 
 def click_equations(
     clicks: Clicks, T: Float[ndarray, "n 4 4"], X: Float[ndarray, "n 21 3"], J: Float[ndarray, "n 21 3 D"]
 ) -> tuple[Float[ndarray, "n"], Float[ndarray, "n D D"], Float[ndarray, "n D"]]:
-    """Compute each frame's cost, J^T J and J^T r, for the derivatives J of the joints X in the hand's axes."""
+    """Compute each frame's cost, J^T J and J^T r, with the derivatives J of the joints X in the hand's axes."""
     uv, by_joint = project_hand_joints(clicks.K, T, X, J)
     r = (uv - clicks.y) / clicks.noise[..., None]
     weight = clicks.there / (1.0 + np.sum(r * r, axis=-1) / CLICK_OUTLIER_SIGMAS**2)  # of Cauchy's rho, for J^T J
@@ -90,9 +95,9 @@ def click_equations(
 def project_hand_joints(
     K: Float[ndarray, "3 3"], T: Float[ndarray, "n 4 4"], X: Float[ndarray, "n 21 3"], J: Float[ndarray, "n 21 3 D"]
 ) -> tuple[Float[ndarray, "n 21 2"], Float[ndarray, "n 21 2 D"]]:
-    """Project joints [px], with the derivatives that follow from those of the joints in the hand's axes."""
+    """Project joints [px] and their derivatives J in the hand's axes."""
     X_cam = se3.transform(T, X)
-    z = np.maximum(X_cam[..., 2], 0.01)  # behind the camera nothing can be fitted; the cost there is large
+    z = np.maximum(X_cam[..., 2], 0.01)  # behind the camera the cost is large, and cannot be fitted
     X_cam = np.concatenate([X_cam[..., :2], z[..., None]], axis=-1)
     D = np.zeros((*z.shape, 2, 3))
     D[..., 0, 0], D[..., 0, 2] = K[0, 0] / z, -K[0, 0] * X_cam[..., 0] / z**2
@@ -110,7 +115,7 @@ def _add_depth_equations(
     H: Float[ndarray, "n D D"],
     g: Float[ndarray, "n D"],
 ) -> None:
-    """Add what depths of joints tell of the fingers; a network's hands are turned as a whole, so a plane is free."""
+    """Add the equations of joints' depths, up to a plane: a network's hands are rotated as a whole."""
     rows = clicks.depth_known
     ray = np.einsum("ni,nij->nj", _rays(clicks)[rows], T[rows, :3, :3])[:, None]
     off, A = np.sum(X[rows] * ray, axis=-1), (ray[:, :, None] @ J[rows])[:, :, 0]
@@ -123,16 +128,16 @@ def _add_depth_equations(
 
 
 def _subtract_plane(uv: Float[ndarray, "n 21 2"], values: Float[ndarray, "n 21 D"]) -> Float[ndarray, "n 21 D"]:
-    """Subtract the plane over the image that fits best."""
+    """Subtract the best-fitting plane over the image."""
     centred, apart = (each - each.mean(axis=1, keepdims=True) for each in (values, uv))
     across = np.swapaxes(apart, 1, 2)
     G = across @ apart
-    ridge = COLLINEAR_RIDGE * np.trace(G, axis1=1, axis2=2)[:, None, None] * np.eye(2)  # of joints on a line
+    ridge = COLLINEAR_RIDGE * np.trace(G, axis1=1, axis2=2)[:, None, None] * np.eye(2)
     return np.asarray(centred - apart @ np.linalg.solve(G + ridge, across @ centred))
 
 
 def _rays(clicks: Clicks) -> Float[ndarray, "n 3"]:
-    """Return unit vectors towards the middles of the hands."""
+    """Return unit vectors towards the hands' centroids."""
     count = np.maximum(clicks.there.sum(axis=1), 1)[:, None]
     ray = backproject(clicks.K, clicks.y.sum(axis=1) / count)
     return np.asarray(ray / np.linalg.norm(ray, axis=1, keepdims=True))
@@ -141,7 +146,7 @@ def _rays(clicks: Clicks) -> Float[ndarray, "n 3"]:
 def place_rigid_hands(
     chains: Chains, clicks: Clicks, grasp: Float[ndarray, "5 3 3"], shape: Float[ndarray, "S"]
 ) -> Float[ndarray, "n 4 4"]:
-    """Place stiff hands with given fingers: T_cam_hand of rotations that fit and turn little between frames."""
+    """Return T_cam_hand of rigid hands with fingers bent as in ``grasp``: they fit and turn little between frames."""
     n, m = len(clicks.y), N_PLACEMENT_ROTATIONS
     X, J = joints_and_jacobian(chains, grasp[None], shape)
     R = se3.super_fibonacci(m)
@@ -151,14 +156,14 @@ def place_rigid_hands(
         middle = backproject(clicks.K, clicks.y[k, there].mean(axis=0)[None])[0] * distance
         T[k] = se3.rigid(R, middle - R @ X[0, there].mean(axis=0))
     many = Clicks(clicks.K, *(np.repeat(each, m, axis=0) for each in clicks[1:]))
-    stiff = _RigidHands(np.repeat(X, n * m, axis=0), np.repeat(J[..., :6], n * m, axis=0), many, chains.wrist)
-    found = minimise(stiff.at(T.reshape(n * m, 4, 4)), N_PLACEMENT_STEPS, PLACEMENT_RULES).state
+    rigid = _RigidHands(np.repeat(X, n * m, axis=0), np.repeat(J[..., :6], n * m, axis=0), many, chains.wrist)
+    found = minimise(rigid.at(T.reshape(n * m, 4, 4)), N_PLACEMENT_STEPS, PLACEMENT_RULES).state
     T = found.T.reshape(n, m, 4, 4)
     return T[np.arange(n), _smoothest(found.cost.reshape(n, m), T[..., :3, :3])]
 
 
 class _RigidHands(NamedTuple):
-    """Hands that cannot bend, each with its clicks."""
+    """Hands with fixed fingers, each with its clicks."""
 
     X: Float[ndarray, "k 21 3"]
     J: Float[ndarray, "k 21 3 6"]
@@ -170,9 +175,9 @@ class _RigidHands(NamedTuple):
 
 
 class _Placed(NamedTuple):
-    """Stiff hands at their places (``least_squares.State``); all are tried in each step."""
+    """Poses of rigid hands (``least_squares.State``); each step tries all."""
 
-    stiff: _RigidHands
+    rigid: _RigidHands
     T: Float[ndarray, "k 4 4"]
     cost: Float[ndarray, "k"]
     H: Float[ndarray, "k 6 6"]
@@ -180,23 +185,21 @@ class _Placed(NamedTuple):
 
     def trial(self, active: Int[ndarray, "k"], damping: Float[ndarray, "k"]) -> _Placed:
         step = -np.linalg.solve(damp_hessian(self.H, damping, floor=1e-6), self.g[..., None])[..., 0]
-        return self.stiff.at(apply_hand_step(self.T, step, self.stiff.wrist))
+        return self.rigid.at(apply_hand_step(self.T, step, self.rigid.wrist))
 
     def accept(self, trial: _Placed, active: Int[ndarray, "k"], better: Bool[ndarray, "k"]) -> _Placed:
-        kept = (
-            np.where(better.reshape(-1, *[1] * (old.ndim - 1)), new, old)
-            for new, old in zip(trial[1:], self[1:], strict=True)
-        )
-        return _Placed(self.stiff, *kept)
+        pairs = zip(trial[1:], self[1:], strict=True)
+        kept = (np.where(better.reshape(-1, *[1] * (old.ndim - 1)), new, old) for new, old in pairs)
+        return _Placed(self.rigid, *kept)
 
 
 def turning_cost(Ra: Float[ndarray, "*#batch 3 3"], Rb: Float[ndarray, "*#batch 3 3"]) -> Float[ndarray, "*batch"]:
-    """Compute the cost of turning from one clicked frame to the next."""
+    """Compute the cost of a rotation between consecutive clicked frames."""
     return np.asarray((se3.angle_between(Ra, Rb) / TURN_SIGMA_RAD) ** 2)
 
 
 def _smoothest(cost: Float[ndarray, "n m"], R: Float[ndarray, "n m 3 3"]) -> Int[ndarray, "n"]:
-    """One of m rotations in each frame such that their costs and those of turning have the least sum (Viterbi)."""
+    """Choose one of m rotations in each frame with the least sum of their costs and turning costs (Viterbi)."""
     total, came = cost[0], []
     for k in range(1, len(cost)):
         both = total[:, None] + turning_cost(R[k - 1][:, None], R[k][None])

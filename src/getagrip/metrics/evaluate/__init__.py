@@ -1,8 +1,7 @@
-"""Results against ground truth (docs/metrics.md).
+"""Evaluation of results against ground truth (docs/metrics.md).
 
-- ``results``: a result folder of ours;
-- ``meshes``: a mesh for each frame, as systems give them that know no CAD;
-- ``tables``: means over clips, and what is printed.
+- ``results``: result folders of this package, means over clips, printed tables;
+- ``external``: poses of other systems, and a mesh per frame from systems without a CAD model.
 """
 
 from getagrip.metrics.evaluate.external import evaluate_meshes

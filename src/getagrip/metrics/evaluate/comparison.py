@@ -1,6 +1,6 @@
-"""A reconstruction beside its clip, in the parts that metrics are made of.
+"""A reconstruction beside its clip: the parts from which metrics are computed.
 
-The hands of a result that were not the clip's, kept beside it: what ``bench --hands`` compares exists in no clip.
+A result of ``bench --hands`` has hands that no clip has: they are stored beside it.
 """
 
 from __future__ import annotations
@@ -54,25 +54,28 @@ from getagrip.metrics.symmetry import Symmetries, find_symmetries
 V = TypeVar("V")
 
 TRUTH_CACHE_SIZE = 8
-"""Number of values of ground truths that are kept, the latest: of a clip, in all frames and in fitted ones."""
+"""Maximum number of cached values of ground truths: those of the latest clips, in all and in fitted frames."""
 _TRUTH_CACHE: dict[tuple[object, ...], Any] = {}
+RESULT_HANDS_FILE = "hand.npz"
+RESULT_HANDS_KEYS = ("names", "K", "clip_sha256")
+"""Arrays of the file besides the hand's: frame names, the camera of each frame, the checksum of the clip without it."""
 
 
 class MissingPartError(Exception):
-    """A part of a comparison that cannot be known here: metrics that are made of it are left out."""
+    """A part of a comparison that is unknown: metrics that depend on it are left out."""
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """A reconstruction and the clip it is judged against; what kind of reconstruction, subclasses say.
+    """A reconstruction beside its clip; subclasses define the kind of reconstruction.
 
-    Each part is computed when a metric first reads it. Reading a part that cannot be known (there is no ground truth,
-    there are no masks, no vertices that correspond) raises ``MissingPartError``.
+    Each part is computed when a metric first reads it. Unknown parts raise ``MissingPartError``: without ground truth,
+    masks or corresponding vertices.
 
     Attributes:
         clip: the clip, in the frames of the reconstruction.
-        masks: its masks, in the same frames.
-        contacts: definitions of contact by which it is measured.
+        masks: the clip's masks, in the same frames.
+        contacts: definitions of contact by which stable contact is measured.
     """
 
     clip: Clip
@@ -81,12 +84,12 @@ class Comparison:
 
     @property
     def reach(self) -> float:
-        """Distance up to which distances of hand and object must be exact [m]."""
+        """Distance up to which signed distances of hand and object must be exact [m]."""
         return max(MAX_SIGNED_DISTANCE_M, *(contact.threshold + 1e-3 for contact in self.contacts))
 
     @property
     def iou(self) -> MaskIou:
-        """Overlap with the observed masks."""
+        """IOU with the observed masks."""
         raise NotImplementedError
 
     @property
@@ -96,12 +99,12 @@ class Comparison:
 
     @property
     def sides(self) -> Sequence[Side]:
-        """Sides whose points are the same in all frames."""
+        """Sides whose points correspond in all frames."""
         return CONTACT_SIDES
 
     @property
     def predicted(self) -> ObjectTrack:
-        """The poses of the clip's mesh in the hand."""
+        """Predicted poses of the clip's mesh in the hand."""
         raise MissingPartError
 
     @property
@@ -111,7 +114,7 @@ class Comparison:
 
     @property
     def has_object(self) -> Bool[ndarray, "T"]:
-        """The frames that have been reconstructed."""
+        """True in the reconstructed frames."""
         return np.ones(len(self.clip), dtype=bool)
 
     @cached_property
@@ -124,7 +127,7 @@ class Comparison:
 
     @cached_property
     def predicted_in_camera(self) -> ObjectTrack:
-        """The poses of the clip's mesh in the camera, as the hand carries them."""
+        """Predicted poses of the clip's mesh in the camera, by the clip's hand."""
         return ObjectTrack(self.clip.hand.T_cam_hand @ self.predicted.T_ref_obj, self.predicted.scale)
 
     @cached_property
@@ -136,7 +139,7 @@ class Comparison:
 
     @cached_property
     def true_distances(self) -> ContactDistances:
-        """Distances between the true object and the true hand; methods that are compared on a clip share them."""
+        """Distances between the true object and the true hand; all methods on a clip share them."""
         clip, true = self.clip, self.true
         if clip.truth is None:
             raise MissingPartError
@@ -159,7 +162,7 @@ class Comparison:
 
     @cached_property
     def errors_cam(self) -> PoseErrors:
-        """Errors of the object's pose in the camera; those in the hand, where the hand is the true one."""
+        """Errors of the object's pose in the camera; equal to the errors in the hand if the hand is the true one."""
         if self._hand_is_true:
             return self.errors
         return pose_errors(self.clip.mesh, self.predicted_in_camera, self.true_in_camera)
@@ -175,7 +178,7 @@ class Comparison:
 
     @property
     def _hand_is_true(self) -> bool:
-        """True if the hand is at its true pose, so that frames of hand and camera give the same errors."""
+        """True if the hand has its true pose: errors in the hand and in the camera are equal."""
         truth = self.clip.truth
         return truth is not None and np.array_equal(truth.T_cam_hand, self.clip.hand.T_cam_hand)
 
@@ -186,7 +189,7 @@ class Comparison:
 
     @property
     def scale_error(self) -> float:
-        """Predicted by true scale, less 1; of clips of known scale there is none."""
+        """Ratio of predicted and true scale, minus 1; missing for clips of known scale."""
         if self.clip.scale == "known":
             raise MissingPartError
         return self.predicted.scale / self.true.scale - 1.0
@@ -199,24 +202,23 @@ class Comparison:
 
     @cached_property
     def symmetric_errors(self) -> SymmetricErrors:
-        """Errors of the object in the camera, the least over its symmetries."""
+        """Errors of the object in the camera, minimised over its symmetries."""
         return SymmetricErrors.of(self.clip.mesh, self.predicted_in_camera, self.true_in_camera, self.symmetries)
 
     @cached_property
     def mssd_recall(self) -> Float[ndarray, "T"]:
-        """BOP's recall of the largest distance in space."""
+        """BOP's recall of the maximum distance in space (MSSD)."""
         return recall_at_thresholds(self.symmetric_errors.mssd(), MSSD_THRESHOLDS * self.errors_cam.diameter)
 
     @cached_property
     def mspd_recall(self) -> Float[ndarray, "T"]:
-        """BOP's recall of the largest distance in the image."""
-        return recall_at_thresholds(
-            self.symmetric_errors.mspd(self.clip.K), MSPD_THRESHOLDS_PX * self.clip.size[0] / 640
-        )
+        """BOP's recall of the maximum distance in the image (MSPD)."""
+        thresholds = MSPD_THRESHOLDS_PX * self.clip.size[0] / 640
+        return recall_at_thresholds(self.symmetric_errors.mspd(self.clip.K), thresholds)
 
     @cached_property
     def vsd_recall(self) -> Float[ndarray, "T"]:
-        """BOP's recall of the visible surface, in the frames with a depth image; none without a sensor's depth."""
+        """BOP's recall of the visible surface (VSD), in the frames with a sensor's depth image; NaN in the others."""
         clip = self.clip
         found = np.full(len(clip), np.nan)
         for n, (image, K) in sensor_images(clip):
@@ -235,7 +237,7 @@ class Comparison:
 
     @cached_property
     def hand_in_camera(self) -> tuple[Float[ndarray, "T V 3"], Float[ndarray, "T V 3"]]:
-        """Vertices of the predicted and of the true hand in the camera frame [m]; none where these are not the same."""
+        """Vertices of the predicted and of the true hand in the camera frame [m]; missing if they do not correspond."""
         hand, truth = self.clip.hand, self.clip.truth
         if truth is None or truth.hand_vertices.shape != hand.vertices.shape:
             raise MissingPartError
@@ -243,7 +245,7 @@ class Comparison:
 
     @cached_property
     def contact_pairs(self) -> ContactPairs:
-        """Vertices of the true hand and the nearest of the true object."""
+        """The nearest vertices of the true object to those of the true hand."""
         hand, object_ = self.hand_in_camera[1], self.object_in_camera[1]
         return _compute_truth_cached(lambda: ContactPairs.of(hand, object_), hand, object_)
 
@@ -258,17 +260,17 @@ class Comparison:
         return self._stable(definition, True)
 
     def depth(self, side: Side) -> Float[ndarray, "T _"]:
-        """Return the depth [m] of each point of a side inside the other body; NaN in frames without object."""
+        """Return the depth of each point of a side inside the other body [m]; NaN in frames without an object."""
         if not self.has_object.any():
             raise MissingPartError
         return np.where(self.has_object[:, None], self.distances.depth(side), np.nan)
 
     def true_depth(self, side: Side) -> Float[ndarray, "T _"]:
-        """Return the depth [m] of each point of the ground truth inside the other body."""
+        """Return the depth of each point of the ground truth inside the other body [m]."""
         return self.true_distances.depth(side)
 
     def _stable(self, definition: ContactDefinition, true: bool) -> StableContact:
-        """How stable contact is, computed once by each definition."""
+        """Stable contact, computed once per definition."""
         key = definition, true
         if key not in self._known:
             self._known[key] = stable_contact(self.true_distances if true else self.distances, definition)
@@ -280,14 +282,14 @@ class Comparison:
 
     @cached_property
     def judged_masks(self) -> Masks:
-        """The observed masks; the hand is ignored where nothing else is, as the methods take them."""
+        """The observed masks; where they have no ignore masks, the hand is ignored, as methods do."""
         if self.masks is None:
             raise MissingPartError
         return self.masks if self.masks.say_what_hides else occluded_by_hand(self.clip, self.masks)
 
 
 def _compute_truth_cached(compute: Callable[[], V], *inputs: ndarray | float) -> V:
-    """Compute a value of the ground truth once for all methods compared on a clip; it depends on ``inputs`` alone."""
+    """Compute a value of the ground truth once for all methods on a clip; it depends on ``inputs`` alone."""
     key = tuple(part.tobytes() if isinstance(part, ndarray) else part for part in inputs)
     if key not in _TRUTH_CACHE:
         while len(_TRUTH_CACHE) >= TRUTH_CACHE_SIZE:
@@ -297,23 +299,15 @@ def _compute_truth_cached(compute: Callable[[], V], *inputs: ndarray | float) ->
     return found
 
 
-RESULT_HANDS_FILE = "hand.npz"
-RESULT_HANDS_KEYS = ("names", "K", "clip_sha256")
-"""Its arrays beside those of a hand: names of the frames, the camera of each, the checksum of the clip without it."""
-
-
 def write_result_hands(clip: Clip, result: Path, clip_sha256: str) -> None:
-    """Write the hands that a clip had into the folder of its result."""
+    """Write the hands of a clip into the folder of its result."""
+    stored = np.array(clip.frames), clip.K, np.array(clip_sha256)
     with files.new_file(result / RESULT_HANDS_FILE) as part:
-        write_hand(
-            clip.hand,
-            part,
-            dict(zip(RESULT_HANDS_KEYS, (np.array(clip.frames), clip.K, np.array(clip_sha256)), strict=True)),
-        )
+        write_hand(clip.hand, part, dict(zip(RESULT_HANDS_KEYS, stored, strict=True)))
 
 
 def with_result_hands(clip: Clip, result: Path) -> Clip | None:
-    """Return the clip with the hands beside a result, in their frames; None where the result keeps none.
+    """Return the clip with the hands stored beside a result, in their frames; None without stored hands.
 
     Raises ``InputError`` for a malformed file, and where the clip has changed since.
     """

@@ -1,10 +1,10 @@
-"""Meshes of another system, one for each frame, against a clip: what can be measured without a CAD model.
+"""Evaluation of other systems: a mesh per frame (systems without a CAD model), or poses of the clip's mesh.
 
-No vertex of such a mesh is known to be a vertex of the true one, so there is no ADD. IOU is that of our own results.
-Penetration and SCA are those of the hand that the clip gives, which is not moved; SCA on the sides that can be compared
-(``metrics.contact``). A frame without a mesh shows nothing and touches nothing.
+Vertices of a mesh per frame do not correspond to those of the true one: there is no ADD. IOU is computed as for results
+of this package; penetration and SCA with the clip's hand, unmoved, SCA on the comparable sides (``metrics.contact``). A
+frame without a mesh has empty silhouette and contact.
 
-Another system's poses of the clip's mesh, as a result: so that all that measures our results measures them.
+Poses of the clip's mesh become a ``Reconstruction``, to which all metrics apply.
 """
 
 from __future__ import annotations
@@ -39,23 +39,30 @@ from getagrip.result.findings import format_probability
 MeshFrame = Literal["camera", "hand"]
 """Frame of the vertices [m]: the clip's camera frame, or its hand frame."""
 MAX_HAND_OBJECT_DISTANCE_M = 0.5
-"""Largest distance of an object's middle from the origin of the hand frame [m]."""
+"""Maximum distance of an object's middle from the origin of the hand frame [m]."""
 MAX_EVALUATED_FACES = 20_000_000
-"""Most faces of all meshes of a clip."""
+"""Maximum number of faces of all meshes of a clip."""
+MISALIGNED_IOU_THRESHOLD, CONVENTION_IOU_THRESHOLD = 0.5, 0.6
+"""Mean IOU below which poses may follow another convention, and from which on a convention is recognised."""
+MISALIGNED_POSES_MESSAGE = (
+    "no given pose meets the masks: are they inverse, in another frame, of another mesh or of another instance?"
+)
+N_CONVENTION_FRAMES = 6
+"""Number of frames in which conventions are tried."""
 
 
 def evaluate_meshes(meshes: Sequence[Mesh | None], clip: Clip, masks: Masks | None, method: str) -> Evaluation:
     """Compute IOU, SCA and penetration of a mesh for each of the clip's frames, in the hand frame.
 
-    Besides, ``frames_without_mesh`` counts these, and ``closed`` is the share of meshes without holes: only of these is
-    it certain what is inside.
+    Additionally ``frames_without_mesh``, and ``closed``, the fraction of meshes without holes: for others the inside is
+    uncertain.
     """
     return evaluate_comparison(_MeshComparison(clip, masks, tuple(meshes)), method, symmetry=None)
 
 
 @dataclass(frozen=True, eq=False)
 class _MeshComparison(Comparison):
-    """A comparison by one mesh for each frame, in the hand frame [m]."""
+    """A comparison with one mesh per frame, in the hand frame [m]."""
 
     frame_meshes: tuple[Mesh | None, ...]
 
@@ -91,9 +98,9 @@ def read_meshes(
 ) -> tuple[list[Mesh | None], list[InputError]]:
     """Read the mesh of each of the clip's frames, in the hand frame; also return the errors of unreadable files.
 
-    Files are named like the frames, or by the same numbers; those of other frames are passed over; ``first`` is the
-    number of the first frame's, where they are counted from another start. Raises ``InputError`` where no file is named
-    like a frame or none can be read, ``UsageError`` where they seem to be counted from another start.
+    Files are named like the frames, or by the same numbers; files of other frames are skipped. ``first`` is the number
+    of the first frame's file, where numbers have another start. Raises ``InputError`` where no file is named like a
+    frame or none can be read, ``UsageError`` where numbers seem to have another start.
     """
     named: dict[int, list[Path]] = {}
     paths = files.list_files(folder, MESH_SUFFIXES)
@@ -119,16 +126,15 @@ def read_meshes(
             continue
         faces += len(mesh.faces)
         if faces > MAX_EVALUATED_FACES:
-            raise InputError(
-                folder, "", f"meshes of more than {MAX_EVALUATED_FACES} faces in all", "fewer; decimate them"
-            )
-    if len(errors) == len(named):  # as in another unit or frame: the first says what is wrong with all
+            got = f"meshes of more than {MAX_EVALUATED_FACES} faces in all"
+            raise InputError(folder, "", got, "fewer; decimate them")
+    if len(errors) == len(named):  # as with another unit or frame: the first error explains all
         raise errors[0]
     return meshes, errors
 
 
 def _read_mesh_in_hand(path: Path, frame: MeshFrame, T_cam_hand: Float[ndarray, "4 4"]) -> Mesh:
-    """Read a mesh in the hand frame; faces without area, which systems often make, are left out."""
+    """Read a mesh in the hand frame, without degenerate faces, which systems often make."""
     vertices, faces = parse_mesh(path)
     mesh = checked_mesh(path, vertices, drop_degenerate_faces(vertices, faces))
     if frame == "camera":
@@ -151,21 +157,21 @@ def _transform_mesh(mesh: Mesh, T: Float[ndarray, "4 4"]) -> Mesh:
 
 @dataclass(frozen=True)
 class ExternalSystem:
-    """A system by the name that tables show, and its poses of many clips (``clip.object_poses.place_of``)."""
+    """Another system by its name in tables, and its poses of many clips (``object_poses.poses_path_of_clip``)."""
 
     name: str
     root: Path
 
     def inputs(self, clip: str) -> dict[str, Path]:
-        """Return the files that hold the poses of a clip, by name. Raises ``InputError``."""
+        """Return the files with the poses of a clip, by name. Raises ``InputError``."""
         place = poses_path_of_clip(self.root, clip)
         inside = files.list_files(place) if place.is_dir() else [place]
         return {path.name: path for path in inside}
 
     def result(self, clip: Clip, masks: Masks | None, frames: Sequence[str]) -> Reconstruction:
-        """Read its poses of a clip, one of many, in some of its frames. Raises ``InputError``.
+        """Read the system's poses of a clip, in some of its frames. Raises ``InputError``.
 
-        A result folder of this package that has all of them keeps its hand, its checks and what else is in it.
+        A result folder of this package that has all frames keeps its hand, its checks and its other content.
         """
         place = poses_path_of_clip(self.root, clip.name)
         if place.is_dir() and is_result(place):
@@ -180,7 +186,7 @@ def read_external_poses(
 ) -> Reconstruction:
     """Read the poses of a file or folder as a result; arguments and errors are those of ``read_poses``.
 
-    A frame without a pose has the nearest frame's, fixed in the hand, and counts as interpolated.
+    A frame without a pose gets the nearest frame's, fixed in the hand, and is marked as interpolated.
     """
     poses = read_poses(place, clip, first)
     scale = 1.0 if poses.scale is None else poses.scale
@@ -190,9 +196,8 @@ def read_external_poses(
         iou = iou_of_poses(clip.mesh, scale, clip.hand.T_cam_hand @ poses.T_hand_obj, clip.K, masks).full
     notes = [f"poses of another system, from {place.name}"]
     if "interpolated" in kind:
-        notes.append(
-            f"no pose in {kind.count('interpolated')} of {len(clip)} frames: those of their neighbours, in the hand"
-        )
+        missing = f"no pose in {kind.count('interpolated')} of {len(clip)} frames"
+        notes.append(f"{missing}: those of their neighbours, in the hand")
     if poses.scale is None and clip.scale == "free":
         notes.append("the scale 1 is a guess: the poses say none, and the clip's mesh has no known size")
     if masks is not None and (
@@ -207,19 +212,10 @@ def read_external_poses(
     )  # fmt: skip
 
 
-MISALIGNED_IOU_THRESHOLD, CONVENTION_IOU_THRESHOLD = 0.5, 0.6
-"""Mean overlap with the masks below which poses may be in another convention, and from which on one is theirs."""
-MISALIGNED_POSES_MESSAGE = (
-    "no given pose meets the masks: are they inverse, in another frame, of another mesh or of another instance?"
-)
-N_CONVENTION_FRAMES = 6
-"""Frames in which conventions are tried."""
-
-
 def diagnose_pose_convention(
     clip: Clip, masks: Masks, T_cam_obj: Float[ndarray, "T 4 4"], scale: float, iou: Float[ndarray, "T"]
 ) -> str:
-    """Say that poses miss the masks, and by which convention they would meet them; empty where they meet them."""
+    """Name the convention by which poses would meet the masks, or say that none does; empty if the poses meet them."""
     known = np.flatnonzero(np.isfinite(iou))
     if not len(known) or (mean := float(iou[known].mean())) >= MISALIGNED_IOU_THRESHOLD:
         return ""

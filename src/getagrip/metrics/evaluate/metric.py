@@ -1,4 +1,4 @@
-"""The table of metrics (docs/metrics.md): JSON, printed tables and benchmarks are made from it."""
+"""The table of metrics (docs/metrics.md), from which JSON, printed tables and benchmarks are made."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ from getagrip.metrics.evaluate.comparison import Comparison, MissingPartError
 
 Value = float | Float[ndarray, "T"]
 Group = Literal["paper", "motion", "recall"]
-"""Columns that belong together: the paper's; ARCTIC's of motion; areas and average recalls of RGB-D systems."""
+"""Groups of columns: the paper's; ARCTIC's of motion; areas and average recalls of RGB-D systems."""
 IOU_THRESHOLDS = (0.8, 0.6)
-"""SCA-IOU counts the clips whose mean IOU is above these (paper, Sec. 5.2)."""
+"""Mean IOU above which SCA-IOU counts a clip (paper, Sec. 5.2)."""
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A number about a reconstruction. Shares are between 0 and 1 and shown in per cent."""
+    """A number about a reconstruction. Fractions are between 0 and 1 and shown in per cent."""
 
     name: str
-    """Its key in JSON; that of the definition of contact follows, where there is one."""
+    """Key in JSON, followed by that of the definition of contact, if any."""
     of: Callable[[Comparison, ContactDefinition], Value]
-    """One number for the clip; or one for each frame (NaN: unknown), of which the clip's is the mean."""
+    """One number for the clip; or one per frame (NaN: unknown), whose mean is the clip's."""
     unit: Literal["%", "mm", "deg", "frames", "m/s^2"] = "%"
     heading: str = ""
-    """Its column in the tables of ``evaluate``; empty: none."""
+    """Column in the tables of ``evaluate``; empty: none."""
     _: KW_ONLY
     meaning: str = ""
-    """Said below the table of ``evaluate`` where the column is there."""
+    """Explanation of the column below the table of ``evaluate``."""
     label: str = ""
-    """Its column in the tables of ``bench``: of means if it is a share, else of medians; empty: none."""
+    """Column in the tables of ``bench``, of means for fractions, else of medians; empty: none."""
     group: Group = "paper"
-    """Which tables of ``bench`` have that column."""
+    """Tables of ``bench`` that have this column."""
     folded: bool = False
     """True if ``bench`` shows it in the folded part of its pages."""
     decimals: int = 1
     by_contact: bool = False
-    """True if each definition of contact gives another value."""
+    """True if the value depends on the definition of contact."""
     needs_truth: bool = False
     """True if it needs ground truth."""
     ranked: bool = True
-    """True if more is better; else methods are not compared by it."""
+    """True if larger is better; else methods are not compared by it."""
     averaged: bool = True
-    """True if the mean over frames is given, too."""
+    """True if the mean over frames is a metric, too."""
 
     def key(self, contact: ContactDefinition) -> str:
-        """Return its key in JSON under a definition of contact."""
+        """Return the metric's key in JSON, by a definition of contact."""
         return f"{self.name}_{contact.key}" if self.by_contact else self.name
 
     def text(self, value: float) -> str:
@@ -65,19 +65,15 @@ class Metric:
 
 
 def nan_mean(values: Float[ndarray, "n"]) -> float:
-    """Compute the mean of the values that are known (not NaN); NaN if none is."""
+    """Compute the mean of the known values (not NaN); NaN without any."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if known.size else float("nan")
 
 
 def _penetration_metrics(
-    name: str,
-    depth: Callable[[Comparison], ndarray],
-    heading: str = "",
-    meaning: str = "",
-    needs_truth: bool = False,
+    name: str, depth: Callable[[Comparison], ndarray], heading: str = "", meaning: str = "", needs_truth: bool = False
 ) -> tuple[Metric, ...]:
-    """How deep points (T, P) of one body are inside the other: the deepest of each frame and of all, and the mean."""
+    """Metrics of the depth of points (T, P) inside the other body: each frame's maximum, the overall one, the mean."""
 
     def mean_inside(it: Comparison) -> float:
         millimetres = 1e3 * depth(it)
@@ -110,7 +106,6 @@ def _sca_iou_metric(least: float) -> Metric:
 
 
 def _closed_mesh_fraction(it: Comparison) -> float:
-    """Share of the meshes that have no holes."""
     closed = [mesh.is_closed for mesh in it.meshes if mesh is not None]
     if not closed:
         raise MissingPartError
@@ -118,14 +113,14 @@ def _closed_mesh_fraction(it: Comparison) -> float:
 
 
 def _nan_mean_or_missing(values: Float[ndarray, "n"]) -> float:
-    """Compute the mean of the values that are known; there is no such part where none is."""
+    """Mean of the known values; missing without any."""
     if np.isnan(values).all():
         raise MissingPartError
     return nan_mean(values)
 
 
 def _motion_deviation(it: Comparison) -> float:
-    """Motion deviation of hand and object in stable contact; there is none without such contact."""
+    """Motion deviation of hand and object in stable contact; missing without such contact."""
     hand, object_ = it.hand_in_camera[0], it.object_in_camera[0]
     vertices = it.true.scale * it.clip.mesh.vertices
     return _nan_mean_or_missing(
@@ -137,7 +132,7 @@ IOU = Metric(
     "iou", lambda it, _: it.iou.crop, heading="crop\nIOU", meaning="crop IOU: in crops around the masks",
     label="IOU",
 )  # fmt: skip
-"""In a crop around each mask; that of results themselves is of the whole image."""
+"""IOU in a crop around each mask; results store the IOU in the whole image."""
 ADD_MM = Metric(
     "add_mm",
     lambda it, _: 1e3 * it.errors.add,
@@ -176,7 +171,7 @@ TRUE_SCA = Metric(
 REPLAY_STABILITY = Metric(
     "replay_stays", lambda _, __: _nan_mean_or_missing(np.full(1, np.nan)), label="stays", decimals=0
 )
-"""Share of the frames in which the object stays in the simulated hand; known where ``export.replay`` measured it."""
+"""Fraction of the frames in which the object stays in the simulated hand, where ``export.replay`` measured it."""
 
 _bop_metric = partial(Metric, group="recall", needs_truth=True)
 _METRICS: tuple[Metric, ...] = (
@@ -202,7 +197,9 @@ _METRICS: tuple[Metric, ...] = (
         "scale_error", lambda it, _: it.scale_error, "%", "scale", meaning="scale: error of the size", needs_truth=True,
     ),
     Metric("diameter_mm", lambda it, _: 1e3 * it.errors.diameter, "mm", needs_truth=True),
-    *_penetration_metrics("penetration_object", lambda it: it.depth("object"), "penetr.", "penetr.: deepest point in the hand"),
+    *_penetration_metrics(
+        "penetration_object", lambda it: it.depth("object"), "penetr.", "penetr.: deepest point in the hand",
+    ),
     *_penetration_metrics("penetration_hand", lambda it: it.depth("hand")),
     *_penetration_metrics("truth_penetration_object", lambda it: it.true_depth("object"), needs_truth=True),
     *_penetration_metrics("truth_penetration_hand", lambda it: it.true_depth("hand"), needs_truth=True),
@@ -263,7 +260,9 @@ _METRICS: tuple[Metric, ...] = (
     ),
     REPLAY_STABILITY,
     _bop_metric("ar_cam", lambda it, _: np.mean([it.mssd_recall, it.mspd_recall, it.vsd_recall], axis=0), label="AR"),
-    _bop_metric("ar_of_two_cam", lambda it, _: np.mean([it.mssd_recall, it.mspd_recall], axis=0), label="AR without VSD"),
+    _bop_metric(
+        "ar_of_two_cam", lambda it, _: np.mean([it.mssd_recall, it.mspd_recall], axis=0), label="AR without VSD",
+    ),
     _bop_metric("mssd_cam_recall", lambda it, _: it.mssd_recall, label="MSSD"),
     _bop_metric("mspd_cam_recall", lambda it, _: it.mspd_recall, label="MSPD"),
     _bop_metric("vsd_cam_recall", lambda it, _: it.vsd_recall, label="VSD"),
@@ -274,16 +273,16 @@ METRICS = PluginTable(
     "metrics", {metric.name: metric for metric in _METRICS}, "a Metric of the same name",
     lambda name, it: isinstance(it, Metric) and it.name == name,
 )  # fmt: skip
-"""All of them by name, in the order in which tables show them."""
+"""All metrics by name, in the order of tables."""
 
 
 def compute_metrics(
     it: Comparison, wanted: Sequence[Metric] | None = None, on_metric: Callable[[str, float], None] | None = None
 ) -> tuple[dict[str, float], dict[str, list[float]]]:
-    """Compute the wanted metrics, or all, that can be known: one number for the clip each, and those per frame.
+    """Compute the known ones of the wanted metrics, or of all: the clip's numbers, and those per frame.
 
-    One of another package that raises is left out, after a warning. ``on_metric`` is called before each with its name
-    and the share of metrics that are done.
+    A metric of a plug-in that raises is left out, with a warning. ``on_metric`` is called before each metric with its
+    name and the fraction of metrics done.
     """
     metrics: dict[str, float] = {}
     per_frame: dict[str, list[float]] = {}

@@ -1,7 +1,4 @@
-"""Every number about a result: what docs/metrics.md defines, gathered.
-
-Evaluations of many clips, averaged and printed.
-"""
+"""Evaluation of results by all metrics of docs/metrics.md, means over clips, and printed tables."""
 
 from __future__ import annotations
 
@@ -46,7 +43,9 @@ TIMELINE_METRICS_NOTE = (
     "a timeline: poses are compared in the frame of the clip's own hand, and contact is with that hand, in all frames, "
     "also in those in which it does not hold the object; metrics_of_grasps has the stable contact area of its grasps"
 )
-"""A note about the metrics of a timeline."""
+"""Note on the metrics of a timeline."""
+_OBJECT_CONTACT_DEFINITION, _HAND_CONTACT_DEFINITION = (ContactDefinition(side, 0.010) for side in ("object", "hand"))
+"""Definitions of contact in the table of results: that of reports and benchmarks, and that of a mesh per frame."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,10 +62,10 @@ class Evaluation(NamedFields, Brief):
         per_frame: T numbers for each metric that is measured in each frame.
         metrics_of_fitted: the same metrics over the frames that are not interpolated; empty if none is interpolated.
         metrics_of_grasps: for a timeline, the stable contact area within its grasps; otherwise empty.
-        frame_kind: how the pose of each frame was found: ``sampled``, ``fitted`` or ``interpolated``; empty for meshes.
-        findings: what the checks found unusual about the inputs and the result, as sentences.
-        notes: remarks on how the metrics were measured, as sentences.
-        result: the folder of the result; None if it is only in memory.
+        frame_kind: origin of each frame's pose: ``sampled``, ``fitted`` or ``interpolated``; empty for meshes.
+        findings: findings about the inputs and the result, as sentences.
+        notes: remarks on the measurement, as sentences.
+        result: folder of the result; None for results in memory.
     """
 
     clip: str
@@ -85,7 +84,7 @@ class Evaluation(NamedFields, Brief):
 
     @staticmethod
     def recorded(clip: Clip, method: str, metrics: dict[str, float]) -> Evaluation:
-        """Return the metrics that a result has in its record."""
+        """Make the evaluation of a result from its recorded metrics."""
         return Evaluation(
             clip=clip.name, category=clip.category, method=method, frames=list(clip.frames), symmetry=None,
             metrics=metrics, per_frame={},
@@ -93,11 +92,11 @@ class Evaluation(NamedFields, Brief):
 
     @property
     def headline(self) -> dict[str, float]:
-        """The metrics, of which the main ones are shown first; a timeline's stable contact is of its grasps."""
+        """The metrics of the clip; those of a timeline's stable contact are of its grasps."""
         return self.metrics | self.metrics_of_grasps
 
     def fields(self) -> dict[str, object]:
-        """Return the fields as ``evaluate --json`` writes them: empty ones are left out."""
+        """Return the fields as ``evaluate --json`` writes them, without empty ones."""
         entry = {key: value for key, value in asdict(self).items() if value or key in ("symmetry", "metrics")}
         return {"result": entry.pop("result"), **entry} if "result" in entry else entry
 
@@ -105,9 +104,9 @@ class Evaluation(NamedFields, Brief):
 def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> Evaluation:
     """Compute all metrics of one result folder against its clip.
 
-    ``clips`` is the folder of the clip or one that holds it under its name; without it the clip is looked for where
-    ``result.json`` says and beside the result. Raises ``InputError`` where there is no such clip, where the clip is no
-    longer the one that was reconstructed, and where a frame of the result is unknown to it.
+    ``clips`` is the clip's folder or one that contains it under its name; by default the clip is searched at the path
+    in ``result.json`` and beside the result. Raises ``InputError`` without such a clip, if it has changed since the
+    reconstruction, and for frames of the result that it lacks.
     """
     result, clip, masks = read_result_clip_masks(Path(folder), clips)
     return replace(evaluate(result, clip, masks), result=str(folder))
@@ -188,7 +187,7 @@ def evaluate_comparison(
     wanted: Sequence[Metric] | None = None,
     on_metric: Callable[[str, float], None] | None = None,
 ) -> Evaluation:
-    """Measure a comparison."""
+    """Compute the metrics of a comparison."""
     metrics, per_frame = compute_metrics(it, wanted, on_metric)
     return Evaluation(
         clip=it.clip.name,
@@ -205,13 +204,13 @@ def evaluate_comparison(
 class _ResultComparison(Comparison):
     """A comparison of poses of the clip's mesh, or of the deformed one.
 
-    Poses are compared by the clip's mesh, which the ground truth poses; masks and contact are those of the found one.
+    Poses are compared with the clip's mesh, which the ground truth poses; masks and contact with the found mesh.
     """
 
     track: ObjectTrack
     found: Mesh
     part_of: tuple[_ResultComparison, Int[ndarray, "n"]] | None = None
-    """The comparison of more frames that this one was taken from, and the indices of its frames there."""
+    """The comparison from which this one was taken, and the indices of its frames there."""
 
     def take(self, index: Int[ndarray, "n"]) -> _ResultComparison:
         """Return the comparison in some of the frames."""
@@ -238,7 +237,7 @@ class _ResultComparison(Comparison):
 
 
 def clip_of(folder: Path, result: Reconstruction, record: Json, clips: str | Path | None) -> Clip:
-    """Find and read the clip that a result was made from."""
+    """Find and read the clip of a result."""
     found = clip_folder(folder, record, clips)
     clip = read_clip(found)
     if clip.name != result.clip:
@@ -254,7 +253,7 @@ def clip_of(folder: Path, result: Reconstruction, record: Json, clips: str | Pat
 
 
 def clip_folder(folder: Path, record: Json, clips: str | Path | None) -> Path:
-    """Find the folder of the clip that a result was made from. Raises ``InputError`` where there is none."""
+    """Find the folder of a result's clip. Raises ``InputError`` where it does not exist."""
     name = record["clip"]
     if clips is not None:
         places = [Path(clips) / name, Path(clips)]
@@ -271,7 +270,7 @@ def clip_folder(folder: Path, record: Json, clips: str | Path | None) -> Path:
 
 
 def _decode_recorded_path(folder: str) -> Path:
-    """Return the path that a result has recorded (``result.write``)."""
+    """Path of the clip as ``result.write`` recorded it."""
     address = folder.removeprefix("file://")
     return Path(folder if address == folder else os.fsdecode(unquote_to_bytes(address)))
 
@@ -279,17 +278,17 @@ def _decode_recorded_path(folder: str) -> Path:
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except (OSError, ValueError):  # a recorded path may be longer than paths can be
+    except (OSError, ValueError):  # a recorded path may exceed the system's limits
         return False
 
 
 def sca_in_grasps(
     clip: Clip, found: Mesh, track: ObjectTrack, contacts: Sequence[ContactDefinition], reach: float
 ) -> dict[str, float]:
-    """Compute SCA by the metric's key, mean over the grasps of a timeline; each with the hand of its side.
+    """Compute SCA by key of the metric, mean over the grasps of a timeline, each with the grasping hand.
 
-    ``clip`` has the hands that were found, ``track`` poses the mesh that was found in the clip's own one. ``reach`` is
-    up to where distances are exact [m]. Empty where no grasp has two frames in which its hand is known.
+    ``clip`` has the found hands, ``track`` poses the mesh ``found`` in the clip's own hand. Distances are exact up to
+    ``reach`` [m]. Empty where no grasp has two frames in which its hand is known.
     """
     each = []
     for segment in clip.segments:
@@ -304,13 +303,6 @@ def sca_in_grasps(
     if not each:
         return {}
     return dict(zip((SCA.key(contact) for contact in contacts), np.mean(each, axis=0).tolist(), strict=True))
-
-
-_OBJECT_CONTACT_DEFINITION, _HAND_CONTACT_DEFINITION = (
-    ContactDefinition("object", 0.010),
-    ContactDefinition("hand", 0.010),
-)
-"""Definitions of contact in the table of results: that of reports and benchmarks, and the one that any mesh has."""
 
 
 def summary(evaluations: Sequence[Evaluation]) -> Json:
@@ -341,15 +333,15 @@ def _mean_metrics(evaluations: Sequence[Evaluation]) -> dict[str, Json]:
 
 
 def results_table(evaluations: Sequence[Evaluation]) -> Table:
-    """Make a table of one row per result and the mean of each method.
+    """Make a table with one row per result, and the mean of each method.
 
-    Columns without any value (there is no ground truth, the scale is known) are left out.
+    Columns without any value (no ground truth, known scale) are left out.
     """
     from rich.text import Text  # no markup: names may hold brackets
 
     groups = group_by_method(evaluations)
     means = {method: _mean_metrics(group)["mean"] for method, group in groups.items()}
-    there = _mean_metrics(evaluations)["mean"]
+    overall = _mean_metrics(evaluations)["mean"]
     columns = [
         (f"{m.heading}\n{m.unit}", m, m.key(_OBJECT_CONTACT_DEFINITION))
         for m in METRICS.working().values()
@@ -359,10 +351,8 @@ def results_table(evaluations: Sequence[Evaluation]) -> Table:
         (f"SCA\n{_OBJECT_CONTACT_DEFINITION.distance}\n%", SCA, SCA.key(_OBJECT_CONTACT_DEFINITION)),
         ("true\nSCA\n%", TRUE_SCA, TRUE_SCA.key(_OBJECT_CONTACT_DEFINITION)),
     ]
-    columns = [column for column in columns if not np.isnan(there.get(column[2], np.nan))]
-    if any(
-        SCA.key(_OBJECT_CONTACT_DEFINITION) not in e.metrics for e in evaluations
-    ):  # a mesh that is another one in each frame
+    columns = [column for column in columns if not np.isnan(overall.get(column[2], np.nan))]
+    if any(SCA.key(_OBJECT_CONTACT_DEFINITION) not in e.metrics for e in evaluations):  # new meshes in each frame
         columns.append(("hand\nSCA\n%", SCA, SCA.key(_HAND_CONTACT_DEFINITION)))
 
     def cells(metrics: Mapping[str, float]) -> list[str]:
@@ -383,7 +373,7 @@ def results_table(evaluations: Sequence[Evaluation]) -> Table:
 
 
 def contact_tables(evaluations: Sequence[Evaluation]) -> list[Table]:
-    """Make a table for each method: the metrics of stable contact by each definition of contact."""
+    """Make a table per method of the metrics of stable contact by definition of contact."""
     groups = group_by_method(evaluations)
     return [
         _contact_table(method if len(groups) > 1 else "", _mean_metrics(group)["mean"])
@@ -392,7 +382,6 @@ def contact_tables(evaluations: Sequence[Evaluation]) -> list[Table]:
 
 
 def _contact_table(method: str, mean: Mapping[str, float]) -> Table:
-    """Make a table of the metrics of stable contact by definition."""
     known = {key for key, value in mean.items() if not np.isnan(value)}
     shown = [
         metric

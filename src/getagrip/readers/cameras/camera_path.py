@@ -1,4 +1,4 @@
-"""A camera's path as a program gives it, and at the frames of a clip."""
+"""Camera trajectories, resampled at a clip's frames."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from getagrip.geometry import se3
 from getagrip.io.array_data import ArrayData
 
 MAX_POSE_GAP_S = 0.25
-"""Farthest pose in time from a frame that gets one [s]."""
+"""Maximum time between a frame and the nearest pose [s]."""
 TIME_TOLERANCE_S = 1e-6
-"""Times that differ by less are one [s]."""
+"""Maximum difference of equal times [s]."""
 PRINCIPAL_POINT_SHAPE_TOLERANCE = 0.15
-"""Largest difference of twice a principal point from the size of its images [share]."""
+"""Maximum relative difference between twice the principal point and the image size."""
 
 
 class Pinhole(NamedTuple):
-    """Intrinsics as a program has them.
+    """Intrinsics from another program.
 
     Attributes:
         K: (3, 3) pinhole intrinsics [px].
-        size: width and height of its images [px]; None where it does not say.
-        distorted: True if its model has distortion that is not zero.
+        size: width and height of the images [px]; None if not stated.
+        distorted: True if the camera model has non-zero distortion.
     """
 
     K: Float[ndarray, "3 3"]
@@ -43,7 +43,7 @@ class Pinhole(NamedTuple):
     def of(
         fx: float, fy: float, cx: float, cy: float, size: tuple[int, int] | None, distorted: bool = False
     ) -> Pinhole:
-        """Make it from focal lengths and principal point [px]."""
+        """Make a pinhole from focal lengths and principal point [px]."""
         return Pinhole(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), size, distorted)
 
     @property
@@ -61,32 +61,31 @@ class Pinhole(NamedTuple):
 
     @property
     def of_images(self) -> tuple[int, int]:
-        """Width and height of its images [px]; where it does not say, twice the principal point."""
+        """Width and height of the images [px]; if not stated, twice the principal point."""
         return self.size or (round(2.0 * self.K[0, 2]), round(2.0 * self.K[1, 2]))
 
     def check_images(self, path: Path, size: tuple[int, int]) -> None:
-        """Raise ``InputError`` where its images have another shape than the clip's of a ``size``."""
+        """Raise ``InputError`` for images of another shape than the clip's, of a ``size``."""
         key = "size" if self.size else "size (twice the principal point)"
-        check_shape(
-            path, key, self.of_images, size, ASPECT_RATIO_TOLERANCE if self.size else PRINCIPAL_POINT_SHAPE_TOLERANCE
-        )
+        tolerance = ASPECT_RATIO_TOLERANCE if self.size else PRINCIPAL_POINT_SHAPE_TOLERANCE
+        check_shape(path, key, self.of_images, size, tolerance)
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPath(ArrayData):
-    """The poses of a camera in a frame that stands still.
+    """The trajectory of a camera in a static world frame.
 
     Attributes:
-        source: what the files are, in words.
+        source: description of the files, in words.
         path: the file, for errors.
         T_world_cam: (N, 4, 4) pose of the camera, camera frame (x right, y down, z forward) to world frame.
-        names: names of the N images; empty where poses are counted or timed.
-        times: (N,) time of each pose [s]; None if there is none.
-        pinholes: the intrinsics: those of all poses, or of each; none where the files have none.
-        metric: True if lengths are metres as far as the program knows.
-        up: (3,) direction away from the ground in the world frame; None where it is not known.
-        unit: seconds of the files' unit of time.
-        others: paths that the files have besides, in worlds of their own, as COLMAP's further models.
+        names: names of the N images; empty for counted or timed poses.
+        times: (N,) time of each pose [s]; None without times.
+        pinholes: the intrinsics, one for all poses or one for each; empty if not stated.
+        metric: True if lengths are in metres, as far as the program knows.
+        up: (3,) direction away from the ground in the world frame; None if unknown.
+        unit: the files' unit of time [s].
+        others: further trajectories in the files, in other worlds, as COLMAP's further models.
     """
 
     source: str
@@ -112,17 +111,17 @@ class CameraPath(ArrayData):
 
     @property
     def pinhole(self) -> Pinhole | None:
-        """The intrinsics, or the first pose's; None where the files have none."""
+        """The intrinsics, or the first pose's; None if not stated."""
         return self.pinholes[0] if self.pinholes else None
 
     def scaled(self, metres: float) -> CameraPath:
-        """Return the path with a length of ``metres`` for each unit."""
+        """Return the trajectory scaled by ``metres`` per unit of length."""
         T = self.T_world_cam.copy()
         T[:, :3, 3] *= metres
         return replace(self, T_world_cam=T)
 
     def best(self, frames: Sequence[str]) -> CameraPath:
-        """Return this path or that of its others that has the most of the frames."""
+        """Return the trajectory, this one or one of the others, with the most of the frames."""
         each = (self, *self.others)
         return max(each, key=lambda one: len({*frames_of(map(stem_of, one.names), frames)} - {None}))
 
@@ -130,11 +129,11 @@ class CameraPath(ArrayData):
         self, frames: Sequence[str], times: Float[ndarray, "T"], start: float | None, counted: bool = False,
         images: str = "",
     ) -> tuple[Float[ndarray, "T 4 4"], Bool[ndarray, "T"]]:  # fmt: skip
-        """Return the pose in each frame, and in which frames it is interpolated between those beside.
+        """Return the pose in each frame, and in which frames it is interpolated.
 
-        ``times`` are those of the frames [s]; ``start`` is the time that the file gives to time 0. Where the user has
-        ``counted``, frames are numbered as the file's poses are. ``images`` chooses among several of one frame. Raises
-        ``InputError`` where the ends have no pose, ``UsageError`` where it is not known which pose is which frame's.
+        ``times`` are the frames' times [s]; ``start`` is the file's time at time 0. With ``counted``, frames are
+        numbered as the file's poses. ``images`` selects among several images of a frame. Raises ``InputError`` without
+        poses at both ends, ``UsageError`` where poses cannot be matched to frames.
         """
         rows, at, wanted = self._matched(frames, times, start, counted, images)
         filled = (
@@ -150,7 +149,7 @@ class CameraPath(ArrayData):
         self, size: tuple[int, int], frames: Sequence[str], times: Float[ndarray, "T"], start: float | None,
         counted: bool = False, images: str = "",
     ) -> Float[ndarray, "T 3 3"]:  # fmt: skip
-        """Return the intrinsics of images of a ``size`` in each frame; arguments and errors are those of ``at``.
+        """Return the intrinsics of images of a ``size`` in each frame, with the arguments and errors of ``at``.
 
         Raises ``InputError`` for intrinsics of images of another shape.
         """
@@ -164,7 +163,7 @@ class CameraPath(ArrayData):
     def _matched(
         self, frames: Sequence[str], times: Float[ndarray, "T"], start: float | None, counted: bool, images: str
     ) -> tuple[Int[ndarray, "n"], Float[ndarray, "n"], Float[ndarray, "T"]]:
-        """Return rows of poses, where they are, rising, and where the frames are: times [s], or places."""
+        """Return rows of poses, with their rising times [s] or positions, and the frames' times or positions."""
         if start is not None and self.times is None:
             raise UsageError(f"--start cannot be used with {self.path}: its poses have no times")
         if counted and self.times is not None:
@@ -181,9 +180,7 @@ class CameraPath(ArrayData):
             return np.array([in_order[n] for n in range(len(frames))]), place, place
         if start is None:
             count = f"{len(self.T_world_cam)} poses for {len(frames)} frames"
-            raise UsageError(
-                f"{self.path}: {count}: missing --start S, the time that the file gives to time 0 of the clip"
-            )
+            raise UsageError(f"{self.path}: {count}: missing --start S, the file's time at time 0 of the clip")
         order = np.unique(self.times, return_index=True)[1]
         stamps = self.times[order]
         in_unit = not stamps[0] - 1.0 <= start <= stamps[-1] + 1.0
@@ -191,9 +188,7 @@ class CameraPath(ArrayData):
         nearest = np.abs(stamps[None] - wanted[:, None]).min(axis=1)
         if nearest.max() > MAX_POSE_GAP_S:
             got = f"poses from {stamps[0]:.6g} to {stamps[-1]:.6g} s, frames from {wanted[0]:.6g} to {wanted[-1]:.6g} s"
-            raise InputError(
-                self.path, "", got, f"a pose within {MAX_POSE_GAP_S:g} s of every frame; is --start right?"
-            )
+            raise InputError(self.path, "", got, f"a pose within {MAX_POSE_GAP_S:g} s of each frame; is --start right?")
         return self._ends(frames, order, stamps, wanted)
 
     def _ends(

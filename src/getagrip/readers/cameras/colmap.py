@@ -1,6 +1,6 @@
-"""COLMAP's models, text and binary (colmap.github.io/format.html), and EPIC-Fields' JSON, which holds the same.
+"""COLMAP's models, text and binary (colmap.github.io/format.html), and EPIC-Fields' JSON with the same content.
 
-Images have world to camera as a quaternion (w, x, y, z) and a translation. The scale of a model is arbitrary.
+Images have world-to-camera poses, a quaternion (w, x, y, z) and a translation. The scale of a model is arbitrary.
 """
 
 from __future__ import annotations
@@ -18,19 +18,20 @@ from numpy import ndarray
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.io import files
+from getagrip.io.files import printable
 from getagrip.readers.cameras.camera_path import CameraPath, Pinhole
 
 MAX_COLMAP_BYTES = 2 * 2**30
-"""Bytes of the largest file."""
+"""Maximum size of a file."""
 COLMAP_MODEL_FOLDERS = ("", "sparse", "sparse/0", "0", "dense/sparse")
-"""Folders below the one that is named in which a model is looked for."""
+"""Folders of models, relative to the path that the user names."""
 COLMAP_CAMERA_MODELS = {
     0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),
     5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5), 8: ("SIMPLE_RADIAL_FISHEYE", 4),
     9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12), 11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
     12: ("SIMPLE_DIVISION", 4), 13: ("DIVISION", 5), 14: ("SIMPLE_FISHEYE", 3), 15: ("FISHEYE", 4), 16: ("EUCM", 6),
 }  # fmt: skip
-"""Camera models by number: name and count of parameters."""
+"""Camera models by number: name and number of parameters."""
 SINGLE_FOCAL_MODELS = (
     "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_DIVISION",
     "SIMPLE_FISHEYE",
@@ -38,7 +39,7 @@ SINGLE_FOCAL_MODELS = (
 
 
 class ColmapImage(NamedTuple):
-    """An image of a model: its name, its camera's number, and world to camera (w, x, y, z, tx, ty, tz)."""
+    """An image of a model: its name, its camera's number, and its world-to-camera pose (w, x, y, z, tx, ty, tz)."""
 
     name: str
     camera: int
@@ -46,7 +47,7 @@ class ColmapImage(NamedTuple):
 
 
 def read_colmap(path: Path) -> CameraPath | None:
-    """Read a model from its folder, or from one above it; None where there is none. Raises ``InputError``."""
+    """Read a model from its folder, or from a folder above; None without a model. Raises ``InputError``."""
     folders = [path.parent] * path.name.startswith("images.")
     if path.is_dir():
         folders = [path / place for place in COLMAP_MODEL_FOLDERS]
@@ -58,7 +59,6 @@ def read_colmap(path: Path) -> CameraPath | None:
 
 
 def _read_colmap_model(folder: Path) -> CameraPath:
-    """Read the model in a folder. Raises ``InputError``."""
     suffix = "bin" if (folder / "images.bin").is_file() and (folder / "cameras.bin").is_file() else "txt"
     source = files.inside(folder, f"images.{suffix}", "", "COLMAP's images")
     of_cameras = files.inside(folder, f"cameras.{suffix}", "", "COLMAP's cameras")
@@ -67,17 +67,15 @@ def _read_colmap_model(folder: Path) -> CameraPath:
         if suffix == "bin":
             images, pinholes = list(_images_bin(content)), dict(_cameras_bin(cameras))
         else:
-            images, pinholes = (
-                list(_images_txt(files.strip_byte_order_mark(content).decode())),
-                dict(_cameras_txt(files.strip_byte_order_mark(cameras).decode())),
-            )
+            images = list(_images_txt(files.strip_byte_order_mark(content).decode()))
+            pinholes = dict(_cameras_txt(files.strip_byte_order_mark(cameras).decode()))
     except (ValueError, IndexError, KeyError, OverflowError, struct.error) as error:
         raise InputError(source, "", f"a damaged file ({error})", "a model as COLMAP writes it") from error
     return _colmap_path(f"COLMAP's model ({suffix})", source, images, pinholes)
 
 
 def read_epic_fields(path: Path) -> CameraPath | None:
-    """Read a file of EPIC-Fields; None for another. Raises ``InputError``."""
+    """Read a file of EPIC-Fields; None for other files. Raises ``InputError``."""
     if path.suffix.lower() != ".json":
         return None
     content = files.read_any_json(path)
@@ -98,7 +96,6 @@ def read_epic_fields(path: Path) -> CameraPath | None:
 
 
 def _colmap_path(source: str, path: Path, images: list[ColmapImage], pinholes: dict[int, Pinhole]) -> CameraPath:
-    """Make the path of a model's images."""
     if not images:
         raise InputError(path, "", "no images", "a model with images")
     poses = np.array([image.pose for image in images])
@@ -111,9 +108,9 @@ def _colmap_path(source: str, path: Path, images: list[ColmapImage], pinholes: d
 
 
 def _pinhole_from_colmap(model: str, size: tuple[int, int], params: list[float]) -> Pinhole:
-    """Convert a camera's parameters. Raises ``ValueError`` for a model that is not COLMAP's."""
+    """Convert a camera's parameters. Raises ``ValueError`` for unknown models."""
     if (model, len(params)) not in COLMAP_CAMERA_MODELS.values():
-        raise ValueError(f"a camera {files.printable(model)} of {len(params)} parameters")
+        raise ValueError(f"a camera {printable(model)} of {len(params)} parameters")
     if model in SINGLE_FOCAL_MODELS:
         f, cx, cy, *rest = params
         return Pinhole.of(f, f, cx, cy, size, any(rest) or "FISHEYE" in model)
@@ -126,7 +123,7 @@ def _split_colmap_lines(text: str) -> Iterator[list[str]]:
 
 
 def _images_txt(text: str) -> Iterator[ColmapImage]:
-    """Yield the images of ``images.txt``, two lines each; that of points may be empty."""
+    """Yield the images of ``images.txt``, two lines each; the second, of points, may be empty."""
     for words in list(_split_colmap_lines(text))[::2]:
         if words:
             yield ColmapImage(" ".join(words[9:]), int(words[8]), tuple(map(float, words[1:8])))
@@ -134,14 +131,12 @@ def _images_txt(text: str) -> Iterator[ColmapImage]:
 
 def _cameras_txt(text: str) -> Iterator[tuple[int, Pinhole]]:
     for words in filter(None, _split_colmap_lines(text)):
-        yield (
-            int(words[0]),
-            _pinhole_from_colmap(words[1], (int(words[2]), int(words[3])), [float(word) for word in words[4:]]),
-        )
+        number, model, width, height, *params = words
+        yield int(number), _pinhole_from_colmap(model, (int(width), int(height)), [float(word) for word in params])
 
 
 def _images_bin(content: bytes) -> Iterator[ColmapImage]:
-    """Yield the images of ``images.bin``; their points are passed over."""
+    """Yield the images of ``images.bin``, without their points."""
     (count,), place = struct.unpack_from("<Q", content), 8
     for _ in range(count):
         _, *pose, camera = struct.unpack_from("<I7dI", content, place)

@@ -1,12 +1,12 @@
-"""Paths of SLAM programs, camera to world: ``.npz`` files, or lines of numbers.
+"""Camera-to-world trajectories of SLAM programs: ``.npz`` files, or lines of numbers.
 
 - **ViPE** (``vipe_results``): ``pose/<video>.npz`` with ``data`` (N, 4, 4) and ``inds`` (N,), numbers of images from 0;
   ``intrinsics/<video>.npz`` likewise, (N, 4): fx, fy, cx, cy [px]. About metric.
 - **MegaSaM**: ``cam_c2w`` (N, 4, 4), ``intrinsic`` (3, 3) of the size of ``images`` or ``depths``. Not metric.
-- **HaWoR**: ``traj`` (N, 7), place and quaternion (x, y, z, w), with ``scale``, ``img_focal``, ``img_center``: metric.
+- **HaWoR**: ``traj`` (N, 7), position and quaternion (x, y, z, w), ``scale``, ``img_focal``, ``img_center``: metric.
   A ``traj`` without a scale, as of DROID-SLAM, is not.
-- **TUM** (RGB-D benchmark; evo, ORB-SLAM): lines of time, place, quaternion (x, y, z, w); w is first in those of EuRoC
-  and VINS-Fusion, which have commas and times in ns; a table may name its columns. Metric or not.
+- **TUM** (RGB-D benchmark; evo, ORB-SLAM): lines of time, position and quaternion (x, y, z, w). EuRoC and VINS-Fusion
+  have w first, commas, and times in ns; a table may name its columns. Metric or not.
 - **KITTI** (odometry): lines of the upper three rows, row by row. Metric or not.
 """
 
@@ -22,15 +22,16 @@ from numpy import ndarray
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.io import arrays, files
+from getagrip.io.files import shorten_value
 from getagrip.readers.cameras.camera_path import CameraPath, Pinhole
 from getagrip.readers.trackers.hawor import slam_poses
 
 SLAM_ARRAYS = ("cam_c2w", "intrinsic", "traj", "scale", "img_focal", "img_center", "data", "inds")
-"""Arrays that are read: images and depths, which such files hold as well, are not."""
+"""Arrays to read; images and depths in the same files are left out."""
 
 
 def read_vipe(path: Path) -> CameraPath | None:
-    """Read a folder of ViPE's results, or a file of its poses; None for another."""
+    """Read a folder of ViPE's results, or a file of its poses; None for other paths. Raises ``InputError``."""
     found = [path] if path.is_file() and path.parent.name == "pose" else files.list_files(path / "pose", (".npz",))
     if not found or path.suffix not in ("", ".npz"):
         return None
@@ -52,7 +53,7 @@ def read_vipe(path: Path) -> CameraPath | None:
 
 
 def read_megasam(path: Path) -> CameraPath | None:
-    """Read a file of MegaSaM's; None for another."""
+    """Read a file of MegaSaM; None for other files. Raises ``InputError``."""
     record = _read_slam_arrays(path)
     if "cam_c2w" not in record:
         return None
@@ -65,7 +66,7 @@ def read_megasam(path: Path) -> CameraPath | None:
 
 
 def read_hawor(path: Path) -> CameraPath | None:
-    """Read HaWoR's SLAM, by its folder or its file, or another file with ``traj``; None without any."""
+    """Read HaWoR's SLAM, by its folder or its file, or another file with ``traj``; None without one."""
     if path.is_dir():
         found = sorted([*path.glob("SLAM/hawor_slam_w_scale_*.npz"), *path.glob("hawor_slam_w_scale_*.npz")])
         return read_hawor(files.inside(found[-1].parent, found[-1].name, "", "HaWoR's SLAM")) if found else None
@@ -88,7 +89,7 @@ def _read_slam_arrays(path: Path) -> dict[str, Shaped[ndarray, "..."]]:
 def _image_indices(path: Path, record: dict[str, Shaped[ndarray, "..."]]) -> list[int]:
     inds = arrays.array_from_names(record.get("inds"))
     if inds is None or inds.dtype.kind not in "iu" or len(inds) != len(record["data"]):
-        got = files.shorten_value(record["inds"]) if "inds" in record else "no such array"
+        got = shorten_value(record["inds"]) if "inds" in record else "no such array"
         raise InputError(path, "inds", got, "a number from 0 on for each pose")
     return [int(n) for n in inds]
 
@@ -97,10 +98,10 @@ MAX_TRAJECTORY_BYTES = 256 * 2**20
 
 
 def read_tum(path: Path, quaternion: str = "") -> CameraPath | None:
-    """Read lines of a time, a place and a quaternion; None for another file.
+    """Read lines of time, position and quaternion; None for other files.
 
-    The first line may name the columns. ``quaternion`` is ``xyzw`` or ``wxyz`` as the user states it; else the names,
-    commas as EuRoC has them, or a first pose without rotation tell. Raises ``UsageError`` where nothing does.
+    The first line may name the columns. ``quaternion`` is the user's ``xyzw`` or ``wxyz``; otherwise the order is found
+    by the names, by EuRoC's commas, or by a first pose without rotation. Raises ``UsageError`` for an unclear order.
     """
     table = _read_number_table(path)
     if table is None:
@@ -127,17 +128,17 @@ def read_tum(path: Path, quaternion: str = "") -> CameraPath | None:
 
 
 TIME_UNITS_S = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
-"""Units of time by their seconds."""
+"""Names of units of time, by their seconds."""
 EPOCH_RANGE_S = (1e8, 1e10)
-"""Times that may be since 1970 [s]."""
+"""Plausible times since 1970 [s]."""
 POSE_INTERVAL_RANGE_S = (1e-4, 10.0)
-"""Times from one pose to the next [s]."""
+"""Plausible times between two poses [s]."""
 UNROTATED_MIN_W, NEARLY_UNROTATED_MIN_W = 0.9999, 0.99
-"""Real parts of quaternions of cameras that are hardly turned."""
+"""Minimum real parts of the quaternions of unrotated cameras."""
 
 
 def _unit_of_time(values: Float[ndarray, "n"]) -> tuple[float, bool]:
-    """Return the seconds of a unit of times, and whether they count lines: whole numbers are no seconds since 1970."""
+    """Return the unit of times [s], and whether times count lines: whole numbers are not seconds since 1970."""
     steps = np.diff(np.sort(values))
     if not len(steps) or not np.array_equal(values, np.round(values)):
         return 1.0, False
@@ -152,7 +153,7 @@ def _unit_of_time(values: Float[ndarray, "n"]) -> tuple[float, bool]:
 
 
 def _quaternion_order(path: Path, first: Float[ndarray, "4"], commas: bool, as_euroc: bool) -> tuple[str, str]:
-    """Return the order of quaternions by that of the first pose, and why. Raises ``UsageError`` where it is unclear."""
+    """Return the order of quaternions by the first pose, and the reason. Raises ``UsageError`` where it is unclear."""
     begins, ends = abs(first[0]), abs(first[3])
     if ends >= NEARLY_UNROTATED_MIN_W:
         return "xyzw", "by the first pose"
@@ -160,32 +161,21 @@ def _quaternion_order(path: Path, first: Float[ndarray, "4"], commas: bool, as_e
         return "wxyz", "as EuRoC's" if as_euroc else "by the first pose"
     if begins >= NEARLY_UNROTATED_MIN_W or commas:
         hint = "--quaternion xyzw (as TUM's) or wxyz, the order of its quaternions"
-        raise UsageError(
-            f"{path}: missing {hint}: its first pose is hardly turned with w first, half round with w last"
-        )
+        raise UsageError(f"{path}: missing {hint}: its first pose is unrotated with w first, half a turn with w last")
     return "xyzw", "as TUM's, a guess"
 
 
 def read_kitti(path: Path) -> CameraPath | None:
-    """Read lines of 12 numbers; None for another file."""
-    rows = _read_number_lines(path, 12)
-    if rows is None:
+    """Read lines of 12 numbers; None for other files."""
+    table = _read_number_table(path)
+    if table is None or table[1] or table[0].shape[1] != 12:
         return None
-    matrices = rows.reshape(-1, 3, 4)
+    matrices = table[0].reshape(-1, 3, 4)
     return CameraPath("lines as of KITTI's", path, se3.rigid(matrices[:, :, :3], matrices[:, :, 3]))
 
 
-def _read_number_lines(path: Path, count: int) -> Float[ndarray, "n count"] | None:
-    """Read a file whose lines are all of ``count`` numbers, comments apart; None for another one."""
-    table = _read_number_table(path)
-    return None if table is None or table[1] or table[0].shape[1] != count else table[0]
-
-
 def _read_number_table(path: Path) -> tuple[Float[ndarray, "n m"], list[str], bool] | None:
-    """Read lines of as many numbers each, the names of columns before them, and whether commas part them.
-
-    None for another file.
-    """
+    """Read lines of equally many numbers, with the names of columns, and whether commas separate them; else None."""
     if not path.is_file() or path.suffix.lower() not in (".txt", ".csv", ".tum", ".kitti", ".traj", ""):
         return None
     text = files.read_text(path, MAX_TRAJECTORY_BYTES)
@@ -208,7 +198,7 @@ def _read_number_table(path: Path) -> tuple[Float[ndarray, "n m"], list[str], bo
 
 
 def _pose_columns(heads: list[str]) -> list[int] | None:
-    """Return the columns of time, x, y, z, and qx, qy, qz, qw by their names; None where these do not say."""
+    """Return the columns of time, x, y, z, and qx, qy, qz, qw by their names; None if one is missing."""
     found: dict[str, int] = {}
     for column, head in enumerate(heads):
         name = head.lower()

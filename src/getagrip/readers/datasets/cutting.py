@@ -1,6 +1,6 @@
-"""Tracks cut into clips: where they have gaps, and to stable grasps (Eq. 2) or those of a list.
+"""Clips cut from tracks: at gaps, to stable grasps (Eq. 2), or to the grasps of a list.
 
-At no time is more than one sequence in memory.
+At most one sequence is in memory at a time.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from getagrip.stable_grasps.find import FIRST_FRAME_KEY, CutRules, as_listed
 from getagrip.stable_grasps.grasp_lists import CLIP_NAME_SEPARATOR, ListedGrasp
 
 MIN_VISIBLE_PIXELS = 25
-"""Pixels of the smallest mask that counts as visible."""
+"""Minimum number of pixels of a visible object's mask."""
 ALL_KNOWN_FRAMES = "all frames in which hand and object are known"
 Pieces = Callable[[Iterable[Track], Note], Iterator[TrackPiece]]
-"""How tracks become the pieces that clips are made of."""
+"""A function that cuts tracks into pieces, one for each clip."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,40 +53,37 @@ class TrackedDataset(Dataset):
     """Import all frames instead of grasps, without masks: for segment and study."""
 
     def sources(self) -> list[SequenceSource]:
-        """List its sequences. Raises ``UsageError`` for wrong options, ``InputError`` where there is no sequence."""
+        """List the sequences. Raises ``UsageError`` for wrong options, ``InputError`` where none is found."""
         raise NotImplementedError
 
     def parts(self, note: Note) -> Sequence[Part]:
-        """List its sequences, cut to stable grasps or, if ``whole``, at gaps only."""
+        """List the sequences, cut to stable grasps or, if ``whole``, at gaps only."""
         cut = self.cut(note)
         return [CutSource(s, partial(cut_into_grasps, cut=cut, whole=self.whole), cut.shortest) for s in self.sources()]
 
     def cut(self, note: Note) -> CutRules:
-        """Return the rule by which its sequences are cut.
-
-        Raises ``UsageError`` for wrong options, ``InputError`` for a broken list.
-        """
+        """Return the cutting rules. Raises ``UsageError`` for wrong options, ``InputError`` for a malformed list."""
         if self.whole and self.grasps.listed is not None:
             raise UsageError("--list cannot be used with --whole")
         return self.grasps.cut(note)
 
     def cut_record(self) -> dict[str, object] | None:
-        """Return the record of how its clips are cut; None where they are whole."""
+        """Return the record of how clips are cut; None for whole tracks."""
         return None if self.whole else self.grasps.cut(lambda _: None).record()
 
 
 @dataclass(frozen=True)
 class CutSource:
-    """A sequence, and how it is cut into clips."""
+    """A sequence with the function that cuts it into clips."""
 
     source: SequenceSource
     cut: Pieces
     shortest: int
-    """The fewest frames of a clip."""
+    """Minimum number of frames of a clip."""
 
     @property
     def name(self) -> str:
-        """The sequence's."""
+        """Name of the sequence."""
         return self.source.name
 
     def drafts(self, missing: Missing, note: Note) -> Iterator[Draft]:
@@ -97,9 +94,9 @@ class CutSource:
 
 
 def cut_into_grasps(tracks: Iterable[Track], note: Note, cut: CutRules, whole: bool = False) -> Iterator[TrackPiece]:
-    """Yield the stable grasps of some tracks, or (``whole``) all of each, as far as nothing is missing.
+    """Yield the stable grasps of some tracks, or (``whole``) the parts of each track without gaps.
 
-    Whole pieces have no masks: they are for what looks at true poses only, and are many frames long.
+    Whole pieces are many frames long and have no masks: they serve to study true poses. Raises ``InputError``.
     """
     for track in tracks:
         if not is_portable_name(track.name):
@@ -121,14 +118,14 @@ def cut_into_grasps(tracks: Iterable[Track], note: Note, cut: CutRules, whole: b
 
 
 def _gapless_pieces(track: Track, cut: CutRules) -> Iterator[TrackPiece]:
-    """Yield the parts of a track between its gaps."""
+
     for part in split_track_at_gaps(track):
         if len(part) >= cut.shortest:
             yield TrackPiece(part, "", ALL_KNOWN_FRAMES, masks=False)
 
 
 def _found_grasp_pieces(track: Track, cut: CutRules) -> Iterator[TrackPiece]:
-    """Yield the stable grasps of a track, as ``segment`` finds them in its whole pieces."""
+    """Yield the stable grasps of a track, as ``getagrip segment`` finds them in its whole pieces."""
     for part in split_track_at_gaps(track):
         known = clip_of_track(part)
         iou, grasps = cut.of(known)
@@ -161,7 +158,7 @@ def _listed_grasp_pieces(track: Track, cut: CutRules, note: Note) -> Iterator[Tr
 
 
 def split_track_at_gaps(track: Track) -> list[Track]:
-    """Split a track into parts whose frames follow each other, hand and object before the camera in all of them."""
+    """Split a track into parts of consecutive frames, hand and object before the camera in every frame."""
     rows = np.flatnonzero(in_front_of_camera(track))
     breaks = np.flatnonzero(np.diff(track.numbers[rows]) != 1) + 1
     return [track.take(part) for part in np.split(rows, breaks) if part.size]
@@ -182,16 +179,14 @@ def in_front_of_camera(track: Track) -> Bool[ndarray, "T"]:
 def clip_of_track(
     track: Track, name: str = "", provenance: dict[str, object] | None = None, segments: tuple[Segment, ...] = ()
 ) -> Clip:
-    """Make a clip without masks of all that is known of a track.
+    """Make a clip of a track, without masks. Raises ``InputError`` for an impossible object.
 
-    Raises ``InputError`` for an object that none can have.
-
-    The mesh of an object with a joint is that at the mean angle; the ground truth has the joint as it was.
+    The mesh of an object with a joint is posed at the mean angle; the ground truth has the true angles.
     """
     angle = 0.0 if track.articulation is None else float(track.articulation.mean())
     mesh = track.object(angle)
     joint = track.joint
-    if joint is not None:  # its vertices are those that a file of the mesh keeps apart
+    if joint is not None:  # mesh files merge vertices, so the joint is reduced to the merged ones
         mesh = Mesh(mesh.vertices.round(OBJ_DECIMALS), mesh.faces)
         joint = replace(joint, angle=angle, moves=joint.moves[used_vertices(mesh.vertices, mesh.faces)[0]])
     return Clip(
@@ -214,10 +209,10 @@ def clip_of_track(
 
 
 def clip_of_piece(piece: TrackPiece, shortest: int, note: Note) -> tuple[Clip, Masks | None] | None:
-    """Make a clip of the piece, and its masks; None if the object is visible in fewer than ``shortest`` frames.
+    """Make the clip of a piece, and its masks; None if the object is visible in fewer than ``shortest`` frames.
 
-    Frames in which fewer than ``MIN_VISIBLE_PIXELS`` pixels of the object are visible are dropped. Masks show an object with a
-    joint as it was.
+    Frames with fewer than ``MIN_VISIBLE_PIXELS`` visible pixels of the object are dropped. Masks show an object with a
+    joint at its true angles.
     """
     track, masks, segments = piece.track, None, piece.segments
     if piece.masks:
@@ -257,7 +252,7 @@ def _other_hand_of_track(other: Track, track: Track) -> OtherHand | None:
 def _visible_frames(track: Track) -> tuple[Int[ndarray, "n"], Masks]:
     """Return the frames in which the object is visible, and their masks.
 
-    Those of a long hold before a large camera are gigabytes: they are in a file, which goes with them.
+    Masks of a long hold in large images take gigabytes: they are memory-mapped to a temporary file.
     """
     width, height = track.size
     with TemporaryFile() as file:
@@ -277,14 +272,11 @@ def _visible_frames(track: Track) -> tuple[Int[ndarray, "n"], Masks]:
 
 
 def read_or_render_masks(track: Track, row: int) -> FrameMasks:
-    """Return the dataset's own masks of a frame, or those rendered from the true poses."""
+    """Read the dataset's own masks of a frame, or render the masks of the true poses."""
     if track.read_masks is not None:
         return track.read_masks(int(track.numbers[row]))
     from getagrip.geometry.rasterize import true_masks  # loads numba
 
-    hands = [
-        (se3.transform(hand.T_cam_hand[row], hand.vertices[row]), hand.faces)
-        for hand in (track.hand, track.other_hand)
-        if hand is not None
-    ]
-    return FrameMasks(*true_masks(track.surface(row), hands, [], track.K, track.size))
+    hands = [hand for hand in (track.hand, track.other_hand) if hand is not None]
+    surfaces = [(se3.transform(hand.T_cam_hand[row], hand.vertices[row]), hand.faces) for hand in hands]
+    return FrameMasks(*true_masks(track.surface(row), surfaces, [], track.K, track.size))

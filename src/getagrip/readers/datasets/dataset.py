@@ -1,7 +1,7 @@
-"""The interface of a dataset: a dataclass of options, and parts that become clips in any process.
+"""The interface of a dataset reader: a dataclass of options, and parts that become clips in any process.
 
-A reader subclasses ``Dataset``. Its fields are the options of ``getagrip import <name>``, its docstring the command's
-help. ``getagrip.cli.datasets`` lists the readers.
+A reader subclasses ``Dataset``: its fields are the options of ``getagrip import <name>``, its docstring is the
+command's help. ``getagrip.cli.datasets`` lists the readers.
 """
 
 from __future__ import annotations
@@ -18,71 +18,68 @@ from getagrip.clip import Clip, HandTrack, Masks
 from getagrip.errors import InputError
 
 Note = Callable[[str], None]
-"""Reports in words what is skipped."""
+"""A function that reports skipped data, in words."""
 
 
 class Missing(Protocol):
-    """A function that returns whether a clip is yet to be made."""
+    """A function that returns whether a clip of some name is missing."""
 
     def __call__(self, name: str, with_hands: bool = False) -> bool:
-        """``with_hands``: hands are known now, so that a clip that was made without them is made again."""
+        """``with_hands``: hands are available, so that an existing clip without hands counts as missing."""
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A clip that is yet to be made."""
+    """The functions that make one clip."""
 
     name: str
     make: Callable[[], tuple[Clip, Masks | None] | None]
-    """The clip and its masks; None, after a note, where nothing is left of it. Raises ``InputError``."""
+    """Make the clip and its masks; None, after a note, where no frame is left. Raises ``InputError``."""
     images: Callable[[Clip], Sequence[UInt8[ndarray, "H W 3"]]] | None = None
-    """Reads the RGB images of the clip's frames, where they belong into its folder. Raises ``InputError``."""
+    """Read the RGB images of the clip's frames, for datasets that store them in the clip. Raises ``InputError``."""
     hand: Callable[[Clip], tuple[HandTrack, Sequence[int]]] | None = None
-    """Reads the hand where the clip has none yet: in some of its frames, and which these are. Raises ``InputError``."""
+    """Read the hand of a clip made without one, and the indices of its frames. Raises ``InputError``."""
 
 
 class Part(Protocol):
-    """A part of a dataset that one process reads, as a sequence or a video. It can be sent to another process."""
+    """A part of a dataset, as a sequence or a video, that one process reads. Picklable."""
 
     @property
     def name(self) -> str:
         """Name in messages."""
 
     def drafts(self, missing: Missing, note: Note) -> Iterator[Draft]:
-        """Yield the clips of this part that are ``missing``. Raises ``InputError``."""
+        """Yield the missing clips of this part. Raises ``InputError``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Dataset:
-    """A dataset that is imported with certain options."""
+    """A dataset with the options of its import."""
 
     parts_are: ClassVar[str] = "sequences"
-    """Name of its parts, in the plural."""
+    """Name of the parts, in the plural."""
 
     def parts(self, note: Note) -> Sequence[Part]:
-        """List its parts, yet to be read.
-
-        Raises ``UsageError`` for wrong options, ``InputError`` where no part is found.
-        """
+        """List the unread parts. Raises ``UsageError`` for wrong options, ``InputError`` where no part is found."""
         raise NotImplementedError
 
     def cut_record(self) -> dict[str, object] | None:
-        """Return the record of how its clips are cut to stable grasps, for the list beside them.
+        """Return the record of how clips are cut to stable grasps, for the list beside them; None for uncut clips.
 
-        It is None where clips are not cut. Raises as ``parts`` does.
+        Raises as ``parts`` does.
         """
         return None
 
     def advice(self, made: Sequence[Mapping[str, object]], handless: int) -> Iterator[str]:
-        """Yield advice for the end, given the provenance of the clips made and the number of clips that lack hands."""
+        """Yield closing advice, from the provenance of the new clips and the number of clips without hands."""
         return iter(())
 
 
 def clips(dataset: Dataset, note: Note = lambda _: None) -> Iterator[tuple[Clip, Masks | None]]:
-    """Yield all clips of a dataset, one at a time in memory; nothing is written.
+    """Yield all clips of a dataset with their masks, one at a time in memory; nothing is written.
 
-    Raises as ``Dataset.parts`` does, and ``InputError`` for malformed files: the first one when all other parts are
-    done, after a note on each of the others.
+    Raises as ``Dataset.parts`` does. An ``InputError`` of a part is raised after all other parts: the first one, with a
+    note on each further one.
     """
     failed: list[InputError] = []
     for part in dataset.parts(note):

@@ -1,15 +1,15 @@
 """HO-3D (Hampali et al., CVPR 2020), versions 2 and 3: a right hand and a YCB object, true poses by fitting to RGB-D.
 
-Read is, as HO-3D's own scripts (https://github.com/shreyashampali/ho3d) describe it, with the axes of OpenGL (y up, z
-towards the eye) turned into this package's,
+The labels are read as HO-3D's own scripts (https://github.com/shreyashampali/ho3d) describe them, and converted from
+OpenGL's axes (y up, z towards the eye) to this package's:
 
     <split>/<sequence>/meta/<frame>.pkl     objName, objRot (rotation vector), objTrans [m], camMat, handJoints3D [m],
                                             and with MANO handPose (48,), handTrans [m], handBeta (10,)
 
     evaluation.txt, evaluation_xyz.json     <sequence>/<frame> in each line, and their joints (N, 21, 3) [m]
 
-Frames without labels hold None. In the evaluation split ``handJoints3D`` is the wrist; the joints were published later,
-in a list of their own, which is read where it lies beside the splits.
+Frames without labels hold None. In the evaluation split ``handJoints3D`` is the wrist only; the joints were published
+later as a list, which is read where it lies beside the splits.
 """
 
 from __future__ import annotations
@@ -40,18 +40,25 @@ from getagrip.readers.datasets import mano_tracks
 from getagrip.readers.datasets.cutting import ALL_KNOWN_FRAMES, CutSource, TrackedDataset
 from getagrip.readers.datasets.dataset import Note, Part
 from getagrip.readers.datasets.mano_tracks import check_mano_numbers
-from getagrip.readers.datasets.tracks import SequenceSource, Track, TrackPiece, check_length, intrinsics_from_opencv
+from getagrip.readers.datasets.tracks import (
+    GRASPS_WITHIN_10_MM,
+    SequenceSource,
+    Track,
+    TrackPiece,
+    check_length,
+    check_pinhole,
+    intrinsics_from_opencv,
+)
 from getagrip.stable_grasps.definition import GraspOptions
 
-GRASPS_WITHIN_10_MM = GraspOptions(contact_mm=10.0)
 HO3D_IMAGE_SIZE_PX = (640, 480)
 """Width and height of HO-3D's images [px]."""
 HO3D_FPS = 30.0
 R_CV_OPENGL = np.diag([1.0, -1.0, -1.0])
-"""From OpenGL's camera axes to this package's."""
+"""Rotation from OpenGL's camera axes to this package's."""
 EVALUATION_SPLIT = "evaluation"
 MAX_WRIST_DISTANCE_M = 0.005
-"""Largest distance of the two wrists of a frame of the evaluation split [m]."""
+"""Maximum distance between the wrists of a frame's labels and of the evaluation list [m]."""
 
 
 class Ho3dFrame(NamedTuple):
@@ -64,7 +71,7 @@ class Ho3dFrame(NamedTuple):
     K: Float[ndarray, "3 3"]
     joints: Float[ndarray, "21 3"]
     pose: Float[ndarray, "48"]
-    """MANO's, and the next two; zeros where MANO is not used."""
+    """MANO's pose, like its translation and shape; zeros without MANO files."""
     translation: Float[ndarray, "3"]
     shape: Float[ndarray, "10"]
 
@@ -88,9 +95,7 @@ class Ho3d(TrackedDataset):
         found = sorted({file.parent.parent for file in self.root.glob("*/*/meta/*.pkl")})
         if not found:
             raise InputError(self.root, "", "no <split>/<sequence>/meta/<frame>.pkl in it", "HO-3D's folder")
-        return [
-            SequenceSource(f"{f.parent.name}/{f.name}", partial(_read_ho3d_sequence, f, models, mano)) for f in found
-        ]
+        return [SequenceSource(f"{f.parent.name}/{f.name}", partial(_read_sequence, f, models, mano)) for f in found]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +115,7 @@ class Ho3dEvaluation(Ho3d):
         return found
 
     def parts(self, note: Note) -> Sequence[Part]:
-        """List its sequences, with masks."""
+        """List the sequences, each one clip with masks."""
         return [CutSource(source, _uncut_pieces, 2) for source in self.sources()]
 
 
@@ -119,19 +124,17 @@ def _uncut_pieces(tracks: Iterable[Track], note: Note) -> Iterator[TrackPiece]:
         yield TrackPiece(track, track.name, ALL_KNOWN_FRAMES)
 
 
-def _read_ho3d_sequence(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator[Track]:
-    """Yield the object in the hand over a sequence."""
+def _read_sequence(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator[Track]:
+
     name = f"{folder.parent.name}/{folder.name}"
     frames, unknown, joints = [], 0, {}
-    if (
-        folder.parent.name == EVALUATION_SPLIT
-        and (listed := folder.parent.parent / f"{EVALUATION_SPLIT}_xyz.json").is_file()
-    ):
+    listed = folder.parent.parent / f"{EVALUATION_SPLIT}_xyz.json"
+    if folder.parent.name == EVALUATION_SPLIT and listed.is_file():
         joints, mano = _evaluation_joints(listed), None  # MANO's parameters are not public
     files = sorted((folder / "meta").glob("*.pkl"))
     check_length(folder, "meta", len(files))
     for file in files:
-        frame = _read_ho3d_frame(file, mano is not None, joints.get(f"{folder.name}/{file.stem}"))
+        frame = _read_frame(file, mano is not None, joints.get(f"{folder.name}/{file.stem}"))
         if frame is None:
             unknown += 1
         else:
@@ -143,9 +146,8 @@ def _read_ho3d_sequence(folder: Path, models: Path, mano: Path | None, note: Not
     grasped = frames[0].name
     other = next((frame for frame in frames if frame.name != grasped or not np.allclose(frame.K, frames[0].K)), None)
     if other is not None:
-        raise InputError(
-            folder / "meta" / f"{other.number:04d}.pkl", "objName or camMat", "another", "one per sequence"
-        )
+        label = folder / "meta" / f"{other.number:04d}.pkl"
+        raise InputError(label, "objName or camMat", "another", "one per sequence")
     mesh = mano_tracks.read_ycb_mesh(models, grasped)
     letters = re.match(r"[A-Za-z]+", folder.name)
     yield Track(
@@ -176,7 +178,6 @@ def _read_ho3d_sequence(folder: Path, models: Path, mano: Path | None, note: Not
 
 @cache
 def _evaluation_joints(listed: Path) -> dict[str, Float[ndarray, "21 3"]]:
-    """Read the joints of the evaluation split, by ``<sequence>/<frame>``."""
     names = read_bytes(listed.with_name(f"{EVALUATION_SPLIT}.txt")).decode("utf-8", "replace").split()
     joints = from_lists(read_any_json(listed))
     if joints is None or joints.shape != (len(names), 21, 3) or joints.dtype.kind != "f":
@@ -185,10 +186,10 @@ def _evaluation_joints(listed: Path) -> dict[str, Float[ndarray, "21 3"]]:
     return dict(zip(names, joints, strict=True))
 
 
-def _read_ho3d_frame(file: Path, with_mano: bool, listed: Float[ndarray, "21 3"] | None) -> Ho3dFrame | None:
-    """Read the labels of a frame; None where the object or the hand is not known.
+def _read_frame(file: Path, with_mano: bool, listed: Float[ndarray, "21 3"] | None) -> Ho3dFrame | None:
+    """Read the labels of a frame; None where the object or the hand is unknown.
 
-    ``listed`` are its joints in the list of the evaluation split. Raises ``InputError`` where their wrist is another.
+    ``listed`` are the frame's joints in the evaluation list. Raises ``InputError``, also for a different wrist.
     """
     value = pickles.read_pickle_file(file, "the labels of a frame of HO-3D")
     if not file.stem.isdigit():
@@ -197,9 +198,8 @@ def _read_ho3d_frame(file: Path, with_mano: bool, listed: Float[ndarray, "21 3"]
     if listed is not None and isinstance(joints, ndarray) and joints.size == 3:
         apart = float(np.linalg.norm(joints.reshape(3) - listed[0]))
         if not apart <= MAX_WRIST_DISTANCE_M:
-            raise InputError(
-                file, "handJoints3D", f"a wrist {apart:.3g} m from the one in {EVALUATION_SPLIT}_xyz.json", "the same"
-            )
+            got = f"a wrist {apart:.3g} m from the one in {EVALUATION_SPLIT}_xyz.json"
+            raise InputError(file, "handJoints3D", got, "the same")
         value = {**value, "handJoints3D": listed}
         joints = listed
     if rotation is None or joints is None or (isinstance(joints, ndarray) and joints.size == 3):
@@ -211,22 +211,15 @@ def _read_ho3d_frame(file: Path, with_mano: bool, listed: Float[ndarray, "21 3"]
         R_CV_OPENGL @ se3.exp_so3(check_mano_numbers(file, value, "objRot", (3,))),
         R_CV_OPENGL @ check_mano_numbers(file, value, "objTrans", (3,)),
     )
-    K = check_mano_numbers(file, value, "camMat", (3, 3))
-    if not (K[0, 0] > 0 and K[1, 1] > 0 and np.all(K[2] == [0, 0, 1]) and K[0, 1] == 0):
-        raise InputError(file, "camMat", shorten_value(K.tolist()), "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    K = check_pinhole(file, "camMat", check_mano_numbers(file, value, "camMat", (3, 3)))
     joints = check_mano_numbers(file, value, "handJoints3D", (21, 3)) @ R_CV_OPENGL
-    mano = (np.zeros(48), np.zeros(3), np.zeros(10))
-    if with_mano:
-        mano = (
-            check_mano_numbers(file, value, "handPose", (48,)),
-            check_mano_numbers(file, value, "handTrans", (3,)),
-            check_mano_numbers(file, value, "handBeta", (10,)),
-        )
+    sizes = {"handPose": 48, "handTrans": 3, "handBeta": 10}
+    mano = [check_mano_numbers(file, value, key, (n,)) if with_mano else np.zeros(n) for key, n in sizes.items()]
     return Ho3dFrame(int(file.stem), name, T_cam_obj, K, joints, *mano)
 
 
 def _fit_generic_hand(folder: Path, frames: list[Ho3dFrame]) -> HandTrack:
-    """Fit the generic hand, with one shape for all frames."""
+
     try:
         return fit_joints(generic.load("right"), np.stack([frame.joints for frame in frames]), "ho3d").hand
     except UsageError as error:
@@ -234,14 +227,6 @@ def _fit_generic_hand(folder: Path, frames: list[Ho3dFrame]) -> HandTrack:
 
 
 def _pose_mano_hand(mano: Path, frames: list[Ho3dFrame]) -> HandTrack:
-    """MANO's hand, of the shape that the sequence has."""
-    pose = np.stack([frame.pose for frame in frames])
-    return mano_tracks.mano_hand_track(
-        mano_tracks.load_mano_hand(mano, "right"),
-        pose[:, :3],
-        pose[:, 3:],
-        np.stack([frame.translation for frame in frames]),
-        frames[0].shape,
-        flat_hand_mean=True,
-        T_cam=se3.rigid(R_CV_OPENGL),
-    )
+    pose, t = np.stack([frame.pose for frame in frames]), np.stack([frame.translation for frame in frames])
+    hand, T_cam = mano_tracks.load_mano_hand(mano, "right"), se3.rigid(R_CV_OPENGL)
+    return mano_tracks.mano_hand_track(hand, pose[:, :3], pose[:, 3:], t, frames[0].shape, True, T_cam)

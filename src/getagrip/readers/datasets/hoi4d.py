@@ -1,7 +1,7 @@
 """HOI4D (Liu et al., CVPR 2022): a hand and a rigid object before a head-worn camera, poses by annotation and fitting.
 
-Read is, as HOI4D's own instructions (https://github.com/leolyliu/HOI4D-Instructions) describe it, with
-<index> = ZY*/H*/C*/N*/S*/s*/T* (camera, person, category, object, room, layout, task),
+The files are read as HOI4D's own instructions (https://github.com/leolyliu/HOI4D-Instructions) describe them, with
+<index> = ZY*/H*/C*/N*/S*/s*/T* (camera, person, category, object, room, layout, task):
 
     HOI4D_annotations/<index>/objpose/<frame>.json              pose of the object: center [m], rotation (Euler XYZ)
     HOI4D_annotations/<index>/2Dseg/mask|shift_mask/*.png       labels by colour: 1 the object, 2 the right hand, ...
@@ -27,6 +27,7 @@ from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip import FrameMasks, HandTrack
+from getagrip.clip.timeline import SIDES
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import MAX_MESH_BYTES, checked_mesh, drop_degenerate_faces
@@ -40,33 +41,32 @@ from getagrip.readers.datasets import mano_tracks
 from getagrip.readers.datasets.cutting import TrackedDataset
 from getagrip.readers.datasets.dataset import Note
 from getagrip.readers.datasets.mano_tracks import check_mano_numbers
-from getagrip.readers.datasets.tracks import SequenceSource, Track, check_length, intrinsics_from_opencv
+from getagrip.readers.datasets.tracks import SequenceSource, Track, check_length, check_pinhole, intrinsics_from_opencv
 from getagrip.stable_grasps.definition import MIN_GRASP_FRAMES, GraspOptions
 
 HOI4D_GRASP_OPTIONS = GraspOptions(tau=0.3, contact_mm=10.0, shortest=MIN_GRASP_FRAMES)
-"""The paper's stable grasps of HOI4D: it states no shortest length."""
+"""The paper's stable grasps of HOI4D; it states no minimum length."""
 HOI4D_IMAGE_SIZE_PX = (1920, 1080)
 """Width and height of HOI4D's images [px]."""
 HOI4D_IMAGE_SCALE = 0.5
-"""Masks are so much smaller than the images."""
+"""Size of masks over the size of images."""
 HOI4D_FPS = 15.0
 HOI4D_CATEGORIES = {
     "C1": "ToyCar", "C2": "Mug", "C3": "Laptop", "C4": "StorageFurniture", "C5": "Bottle", "C6": "Safe", "C7": "Bowl",
     "C8": "Bucket", "C9": "Scissors", "C11": "Pliers", "C12": "Kettle", "C13": "Knife", "C14": "TrashCan",
     "C17": "Lamp", "C18": "Stapler", "C20": "Chair",
 }  # fmt: skip
-"""HOI4D's categories."""
+"""HOI4D's names of categories, by number."""
 Colour = tuple[int, int, int]
 HOI4D_OBJECT_COLOUR: Colour = (128, 0, 0)
-"""Red, green and blue of label 1 in the colours of PASCAL VOC; every other label is a hand or another object."""
+"""Red, green and blue of label 1, the object, in PASCAL VOC's colours; other labels are hands or other objects."""
 HOI4D_HAND_COLOURS: dict[tuple[str, Side], Colour] = {
     **{(kind, "right"): (0, 128, 0) for kind in HOI4D_CATEGORIES},
     ("C8", "left"): (0, 128, 128),
     ("C17", "left"): (0, 128, 128),
     ("C20", "left"): (128, 128, 0),
 }
-"""Those of hands: label 2, and 6 or 3. Of other left hands HOI4D's list of labels knows nothing."""
-SIDES: tuple[Side, ...] = ("left", "right")
+"""Colours of hands: label 2, and 6 or 3. HOI4D lists no label for other left hands."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,32 +84,27 @@ class Hoi4d(TrackedDataset):
         mano = mano_tracks.mano_folder(self.mano, "HOI4D")
         found = sorted(file.parent for file in self.root.glob("HOI4D_annotations/ZY*/H*/C*/N*/S*/s*/T*/objpose"))
         if not found:
-            raise InputError(
-                self.root, "", "no HOI4D_annotations/ZY*/H*/C*/N*/S*/s*/T*/objpose in it", "HOI4D's folder"
-            )
-        return [
-            SequenceSource("-".join(f.parts[-7:]), partial(_read_hoi4d_sequence, self.root, f, mano)) for f in found
-        ]
+            raise InputError(self.root, "", "no HOI4D_annotations/ZY*/H*/C*/N*/S*/s*/T*/objpose", "HOI4D's folder")
+        return [SequenceSource("-".join(f.parts[-7:]), partial(_read_sequence, self.root, f, mano)) for f in found]
 
 
-def _read_hoi4d_sequence(root: Path, folder: Path, mano: Path, note: Note) -> Iterator[Track]:
-    """Yield the object in each hand that HOI4D has a pose of."""
+def _read_sequence(root: Path, folder: Path, mano: Path, note: Note) -> Iterator[Track]:
+    """Yield the object in each hand with poses."""
     index = folder.parts[-7:]
     camera, person, kind, item = index[:4]
     name = "-".join(index)
     category = HOI4D_CATEGORIES.get(kind)
     number = re.fullmatch(r"N(\d{1,6})", item)
     if category is None or number is None:
-        raise InputError(
-            folder, "", f"{kind}/{item}", f"a category, one of {', '.join(HOI4D_CATEGORIES)}, and N<number>"
-        )
+        expected = f"a category, one of {', '.join(HOI4D_CATEGORIES)}, and N<number>"
+        raise InputError(folder, "", f"{kind}/{item}", expected)
     cad = root / "HOI4D_CAD_Model_for_release" / "rigid" / category / f"{int(number[1]):03d}.obj"
     if not cad.is_file():
         note(f"{name}: no {category}/{cad.name} among the rigid CADs (objects with joints are not read): skipped")
         return
     vertices, faces = parse_obj(cad, read_bytes(cad, MAX_MESH_BYTES))
     mesh = checked_mesh(cad, vertices, drop_degenerate_faces(vertices, faces))
-    K = _read_hoi4d_intrinsics(root / "camera_params" / camera / "intrin.npy")
+    K = _read_intrinsics(root / "camera_params" / camera / "intrin.npy")
     T_cam_obj = {n: _read_object_pose(file) for n, file in _list_numbered_files(folder / "objpose", ".json").items()}
     masks = next((m for m in (folder / "2Dseg" / "mask", folder / "2Dseg" / "shift_mask") if m.is_dir()), None)
     hands = 0
@@ -131,12 +126,10 @@ def _read_hoi4d_sequence(root: Path, folder: Path, mano: Path, note: Note) -> It
             digits=5,
             size=(round(HOI4D_IMAGE_SCALE * HOI4D_IMAGE_SIZE_PX[0]), round(HOI4D_IMAGE_SCALE * HOI4D_IMAGE_SIZE_PX[1])),
             K=intrinsics_from_opencv(K, HOI4D_IMAGE_SCALE),
-            hand=_read_hoi4d_hand([files[n] for n in frames], mano, side),
+            hand=_read_hand([files[n] for n in frames], mano, side),
             T_cam_obj=np.stack([T_cam_obj[n] for n in frames]),
             mesh=mesh,
-            read_masks=None
-            if masks is None
-            else partial(_read_hoi4d_masks, masks, HOI4D_HAND_COLOURS.get((kind, side))),
+            read_masks=None if masks is None else partial(_read_masks, masks, HOI4D_HAND_COLOURS.get((kind, side))),
             provenance={
                 "source": f"HOI4D, {'/'.join(index)}",
                 "licence": "made from HOI4D, CC BY-NC 4.0",
@@ -152,19 +145,16 @@ def _read_hoi4d_sequence(root: Path, folder: Path, mano: Path, note: Note) -> It
 
 
 def _list_numbered_files(folder: Path, suffix: str) -> dict[int, Path]:
-    """List the files ``<number><suffix>`` in a folder, by number; none where there is no folder."""
+    """List the files ``<number><suffix>`` in a folder, by number; none without the folder."""
     return {int(file.stem): file for file in folder.glob(f"*{suffix}") if re.fullmatch(r"\d{1,6}", file.stem)}
 
 
-def _read_hoi4d_intrinsics(file: Path) -> Float[ndarray, "3 3"]:
-    K = arrays.floats(file, {"": arrays.parse_npy(file, "", read_bytes(file))}, "", (3, 3))
-    if not (K[0, 0] > 0 and K[1, 1] > 0 and np.all(K[2] == [0, 0, 1]) and K[0, 1] == 0):
-        raise InputError(file, "", shorten_value(K.tolist()), "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
-    return K
+def _read_intrinsics(file: Path) -> Float[ndarray, "3 3"]:
+    return check_pinhole(file, "", arrays.floats(file, {"": arrays.parse_npy(file, "", read_bytes(file))}, "", (3, 3)))
 
 
 def _read_object_pose(file: Path) -> Float[ndarray, "4 4"]:
-    """``T_cam_obj`` of the first object. Euler angles are about the object's own axes: R = Rx Ry Rz."""
+    """Read ``T_cam_obj`` of the first object. Euler angles are about the object's own axes: R = Rx Ry Rz."""
     content = read_json(file)
     key = "dataList" if "dataList" in content else "objects"
     entries = content.get(key)
@@ -181,21 +171,20 @@ def _read_object_pose(file: Path) -> Float[ndarray, "4 4"]:
     return se3.rigid(Rx @ Ry @ Rz, values[1])
 
 
-def _read_hoi4d_hand(files: list[Path], mano: Path, side: Side) -> HandTrack:
-    """Read the hand in each frame, of the person's shape, by the published MANO, faults included, as HOI4D does."""
-    value = [pickles.read_pickle_file(file, "a hand's pose of HOI4D") for file in files]
-    pose = np.stack([check_mano_numbers(file, g, "poseCoeff", (48,)) for file, g in zip(files, value, strict=True)])
-    trans = np.stack([check_mano_numbers(file, g, "trans", (3,)) for file, g in zip(files, value, strict=True)])
-    shape = check_mano_numbers(files[0], value[0], "beta", (10,))
+def _read_hand(files: list[Path], mano: Path, side: Side) -> HandTrack:
+    """Read the hand in each frame, of the person's shape, with the published MANO, faults included, as HOI4D does."""
+    labels = {file: pickles.read_pickle_file(file, "a hand's pose of HOI4D") for file in files}
+    pose = np.stack([check_mano_numbers(file, label, "poseCoeff", (48,)) for file, label in labels.items()])
+    trans = np.stack([check_mano_numbers(file, label, "trans", (3,)) for file, label in labels.items()])
+    shape = check_mano_numbers(files[0], labels[files[0]], "beta", (10,))
     model = mano_tracks.load_mano_hand(mano, side, repaired=False)
     return mano_tracks.mano_hand_track(model, pose[:, :3], pose[:, 3:], trans, shape, True, np.eye(4))
 
 
-def _read_hoi4d_masks(folder: Path, hand: Colour | None, number: int) -> FrameMasks:
-    """Read the object, what is ignored and the hand, at half the size: a pixel is what two of its four are."""
-    red, green, blue = np.ascontiguousarray(
-        np.moveaxis(read_colour_png(folder / f"{number:05d}.png", HOI4D_IMAGE_SIZE_PX), 2, 0)
-    )
+def _read_masks(folder: Path, hand: Colour | None, number: int) -> FrameMasks:
+    """Read the masks of the object, the ignored pixels and the hand, at half the size: two of four pixels decide."""
+    colours = read_colour_png(folder / f"{number:05d}.png", HOI4D_IMAGE_SIZE_PX)
+    red, green, blue = np.ascontiguousarray(np.moveaxis(colours, 2, 0))
 
     def of(colour: Colour) -> Bool[ndarray, "H W"]:
         return np.asarray((red == colour[0]) & (green == colour[1]) & (blue == colour[2]))
@@ -207,6 +196,6 @@ def _read_hoi4d_masks(folder: Path, hand: Colour | None, number: int) -> FrameMa
 
 
 def _halve_mask(mask: Bool[ndarray, "H W"], least: int) -> Bool[ndarray, "h w"]:
-    """Halve a mask: set where at least ``least`` of four pixels are."""
+    """Halve a mask's size: a pixel is set where at least ``least`` of its four pixels are."""
     set_ = mask.view(np.uint8)
     return np.asarray(set_[::2, ::2] + set_[::2, 1::2] + set_[1::2, ::2] + set_[1::2, 1::2] >= least)

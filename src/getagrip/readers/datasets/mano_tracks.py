@@ -1,7 +1,4 @@
-"""Hands of datasets that hold MANO's parameters, most of them pickled, by the user's own MANO files.
-
-The YCB models that DexYCB and HO-3D hold.
-"""
+"""Inputs that several datasets share: hands from MANO's parameters and the user's MANO files, and the YCB models."""
 
 from __future__ import annotations
 
@@ -26,41 +23,32 @@ from getagrip.hands.model import SIDE_MIRROR, Side, hand_track, root_transform
 from getagrip.io import arrays
 from getagrip.io.files import shorten_value
 
-MANO_FILE_BY_SIDE: dict[Side, str] = {"left": "MANO_LEFT.pkl", "right": "MANO_RIGHT.pkl"}
+MANO_FILE_NAMES: dict[Side, str] = {"left": "MANO_LEFT.pkl", "right": "MANO_RIGHT.pkl"}
 
 
 def mano_folder(folder: Path | None, dataset: str) -> Path:
-    """Return the folder with the user's MANO files. Raises ``UsageError`` where none is given or it holds none."""
+    """Return the folder with the user's MANO files. Raises ``UsageError`` without a folder or files in it."""
     if folder is None:
         raise MissingOptionError(
             f"missing --mano: {dataset} holds its hands as parameters of MANO; the folder of "
-            f"{' and '.join(MANO_FILE_BY_SIDE.values())} (https://mano.is.tue.mpg.de)"
+            f"{' and '.join(MANO_FILE_NAMES.values())} (https://mano.is.tue.mpg.de)"
         )
-    if not any((folder / name).is_file() for name in MANO_FILE_BY_SIDE.values()):
-        raise UsageError(
-            f"--mano must be a folder that holds {' and '.join(MANO_FILE_BY_SIDE.values())} (got {folder})"
-        )
+    if not any((folder / name).is_file() for name in MANO_FILE_NAMES.values()):
+        raise UsageError(f"--mano must be a folder with {' and '.join(MANO_FILE_NAMES.values())} (got {folder})")
     return folder
 
 
 def load_mano_hand(folder: Path, side: Side, repaired: bool = True) -> mano.Mano:
-    """Load a MANO hand; unless ``repaired``, with the published left hand's shape space as it is.
+    """Load a MANO hand; unless ``repaired``, with the faulty shape space of the published left hand.
 
-    Whoever fitted the published left hand found betas that give the right surface only with its fault (``hands.mano``).
-    Raises ``InputError``.
+    Betas fitted with the published left hand give the true surface only with its fault (``hands.mano``). Raises
+    ``InputError``.
     """
-    hand = mano.load(folder / MANO_FILE_BY_SIDE[side], side)
+    hand = mano.load(folder / MANO_FILE_NAMES[side], side)
     if side == "right" or repaired:
         return hand
-    model = hand.model
-    return replace(
-        hand,
-        model=replace(
-            model,
-            shape_directions=model.shape_directions * SIDE_MIRROR[:, None],
-            joint_directions=model.joint_directions * SIDE_MIRROR[:, None],
-        ),
-    )
+    shape, joints = (d * SIDE_MIRROR[:, None] for d in (hand.model.shape_directions, hand.model.joint_directions))
+    return replace(hand, model=replace(hand.model, shape_directions=shape, joint_directions=joints))
 
 
 def mano_hand_track(
@@ -74,7 +62,7 @@ def mano_hand_track(
 ) -> HandTrack:
     """Return the hand in each frame, from MANO's parameters as rotation vectors [rad] and translations [m].
 
-    ``T_cam`` brings the frame in which the parameters are into the camera's.
+    ``T_cam`` transforms the parameters' frame to the camera frame.
     """
     shaped = hand.model.with_shape(shape)
     posed = shaped.with_pose(hand.pose(pose, "axis_angle", flat_hand_mean))
@@ -84,9 +72,9 @@ def mano_hand_track(
 def check_mano_numbers(
     path: Path, entry: Mapping[str, object], key: str, shape: tuple[int, ...], of: str = ""
 ) -> Float[ndarray, "..."]:
-    """Check that an array is finite and has the given shape, with -1 for any length above 0 and any axes of 1 in front.
+    """Check that an array is finite and has a shape; -1 stands for any length above 0, leading axes of 1 are dropped.
 
-    ``of`` names the dictionary that ``given`` is, where it stands in another. Raises ``InputError``.
+    ``of`` names ``entry`` in errors, where it is nested in another dictionary. Raises ``InputError``.
     """
     name = f"{of}.{key}" if of else key
     if key not in entry:
@@ -104,22 +92,19 @@ def check_mano_numbers(
 
 
 Models = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: ROOT/models)")]
-"""The option that names their folder."""
+"""The option for the folder of the YCB models."""
 
 
 def ycb_models_folder(root: Path, value: Path | None) -> Path:
-    """Return the folder of the models: the one given, or else ``models`` in ``root``.
-
-    Raises ``UsageError`` without it.
-    """
+    """Return the folder of the YCB models, by default ``models`` in ``root``. Raises ``UsageError`` without it."""
     models = value or root / "models"
     if not models.is_dir():
-        raise UsageError(f"--meshes must be the folder of the YCB models (got {models}, which is no folder)")
+        raise UsageError(f"--meshes must be the folder of the YCB models (got {models}, not a folder)")
     return models
 
 
 def read_ycb_mesh(models: Path, name: str) -> Mesh:
-    """Read a model in metres. Raises ``InputError``, also where the folder has none of that name."""
+    """Read a YCB model [m]. Raises ``InputError``, also where the folder has no model of the name."""
     found = find_mesh(models, name)
     if found is None:
         raise InputError(models, name, "no mesh of it", f"{name}.obj or {name}/*.obj")

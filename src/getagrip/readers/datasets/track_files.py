@@ -8,24 +8,20 @@ A file is one sequence of one object with one or two hands:
                      mesh                        text: name of the mesh's file, in the same folder [m]
                      fps                         frames per second
                      category, subject, sequence texts; they name the clips
-    optional         estimated_left, _right      (T, 21, 3): the joints as an estimator found them, of the same sides:
-                                                 clips are given these hands, the true ones are their truth
+    optional         estimated_left, _right      (T, 21, 3): the joints of an estimator, of the same sides: the clips'
+                                                 input hands, the true hands are their ground truth
                      frames                      (T,): numbers of the frames, rising; by default from 0
                      source, licence             texts, for the provenance
                      articulation                (T,): angle of the object's joint [rad]
                      mesh_top, joint             text: the mesh of the part that turns; (2, 3): a point of the axis [m],
                                                  its direction, in the object's frame
                      K, size, T_cam_world        (3, 3), (2,) [px], (4, 4) or (T, 4, 4): the camera; all three or none
-                     assumed_camera              text: what that camera is, where it is no true one
+                     assumed_camera              text: a description of the camera, if it is assumed
 
-Without a camera, one is assumed (``joint_tracks``), and z must be up in the world. Meshes are made fine enough for
-contact to be counted by their vertices.
-
-Motion capture as joints: one or two hands and an object in a world frame become tracks, the generic hand fitted.
-
-Joints are what most recordings have and may give away. They do not determine a hand's surface: that of the fitted hand
-is off by a few millimetres, so contacts at 0 mm depend on it more than on the grasp. For recordings without a camera
-one is assumed that stands still where the person's eyes could be: every number of it is a guess.
+Meshes are subdivided until contact can be counted by their vertices. Hands are the generic hand fitted to the joints,
+which do not determine a surface: it is a few millimetres off, so contacts at 0 mm depend on the fit more than on the
+grasp. Without a camera, z must be up in the world, and a static camera at a plausible position of the person's eyes is
+assumed: all of its numbers are guesses.
 """
 
 from __future__ import annotations
@@ -42,6 +38,7 @@ from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip import HandTrack, Joint, World
+from getagrip.clip.timeline import SIDES
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, subdivide_parts
@@ -58,15 +55,15 @@ from getagrip.readers.datasets.tracks import SequenceSource, Track, check_length
 from getagrip.stable_grasps.definition import MIN_GRASP_FRAMES, GraspOptions
 
 ASSUMED_CAMERA_DISTANCE_M = 0.7
-"""Distance of the assumed camera from the object's usual place [m]: about an arm's length."""
+"""Distance of the assumed camera from the object's median position [m]: about an arm's length."""
 ASSUMED_CAMERA_ELEVATION_RAD = np.radians(45.0)
-"""How steeply it looks down [rad]."""
+"""Angle by which the assumed camera looks down [rad]."""
 ASSUMED_IMAGE_SIZE_PX = (840, 600)
-"""Width and height of its images [px], those of this package's ARCTIC masks."""
+"""Width and height of the assumed images [px], those of this package's ARCTIC masks."""
 ASSUMED_FOCAL_PX = 600.0
-"""Its focal length [px]: it sees 70 by 53 degrees."""
+"""Assumed focal length [px]: a field of view of 70 by 53 degrees."""
 MIDDLE_KNUCKLE = 9
-"""Among the 21 joints; the wrist is the first."""
+"""Index of the middle finger's knuckle among the 21 joints; the wrist is joint 0."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +71,7 @@ class HandObjectMotion:
     """Joints of the hands, and the object, in every frame of a sequence."""
 
     file: Path
-    """File that it was read from."""
+    """The file that was read."""
     subject: str
     sequence: str
     category: str
@@ -82,24 +79,22 @@ class HandObjectMotion:
     numbers: Int[ndarray, "T"]
     """Numbers of the frames, rising."""
     joints: dict[Side, Float[ndarray, "T 21 3"]]
-    """In the world frame [m], in this package's order; one hand or both."""
+    """Joints of one hand or both in the world frame [m], in this package's order."""
     T_world_obj: Float[ndarray, "T 4 4"]
     mesh: Mesh
-    """The object; where it has a joint, at ``joint.angle``."""
+    """The object, at ``joint.angle`` if articulated."""
     provenance: Provenance
-    """Sources of all of it."""
     joint: Joint | None = None
-    """Joint of the object, where it has one."""
     articulation: Float[ndarray, "T"] | None = None
     """Angle of the joint [rad]."""
     camera: PosedCamera | None = None
-    """One is assumed where it is not known; then z is up in the world frame."""
+    """None if unknown: a camera is assumed, and z is up in the world frame."""
     estimated: dict[Side, Float[ndarray, "T 21 3"]] = field(default_factory=dict)
-    """The joints as an estimator found them: clips are given hands that are fitted to these."""
+    """The joints of an estimator, to which the clips' input hands are fitted."""
 
 
 def motion_tracks(motion: HandObjectMotion) -> Iterator[Track]:
-    """Yield the object in each hand. Raises ``InputError`` where joints are no hand's."""
+    """Yield the object in each hand. Raises ``InputError`` for impossible joints."""
     fitted = {side: fit_hand(motion.file, f"{side} joints", side, j) for side, j in motion.joints.items()}
     camera, up = motion.camera, None
     if camera is None:
@@ -141,35 +136,33 @@ def motion_tracks(motion: HandObjectMotion) -> Iterator[Track]:
 
 
 def _describe_hand_fit(hand: FittedHand) -> str:
-    """How well a hand fits, in words."""
     return describe_fit(hand.residuals) + ", over the sequence"
 
 
 def hand_to_camera(hand: HandTrack, T_cam_world: Float[ndarray, "T 4 4"]) -> HandTrack:
-    """Transform a hand from the world frame to a camera's."""
+    """Transform a hand from the world frame to the camera frame."""
     return replace(hand, T_cam_hand=T_cam_world @ hand.T_cam_hand)
 
 
 @dataclass(frozen=True)
 class PosedCamera:
-    """A pinhole that may move."""
+    """A pinhole with its pose in each frame, and a description for the provenance."""
 
     K: Float[ndarray, "3 3"]
     size: tuple[int, int]
     T_cam_world: Float[ndarray, "T 4 4"]
     described: Source
-    """Description for the provenance."""
 
 
 def assumed_camera(places: Float[ndarray, "T 3"], hands: Iterable[Float[ndarray, "T 21 3"]]) -> PosedCamera:
-    """Place a fixed camera that looks at the median of an object's places from the side from which the forearms come.
+    """Place a static camera on the forearms' side that looks at the object's median position.
 
-    ``hands`` are joints in this package's order. All is in the world frame [m], where z is up.
+    ``places`` are the object's positions, ``hands`` joints in this package's order, in a world frame with z up [m].
     """
     up = np.array([0.0, 0.0, 1.0])
     behind = np.concatenate([joints[:, 0] - joints[:, MIDDLE_KNUCKLE] for joints in hands]).mean(axis=0)
     behind -= (behind @ up) * up
-    if np.linalg.norm(behind) < 1e-6:  # hands that point straight up or down: from anywhere
+    if np.linalg.norm(behind) < 1e-6:  # hands that point straight up or down: any side
         behind = np.array([1.0, 0.0, 0.0])
     behind /= np.linalg.norm(behind)
     z = -(np.cos(ASSUMED_CAMERA_ELEVATION_RAD) * behind + np.sin(ASSUMED_CAMERA_ELEVATION_RAD) * up)
@@ -181,42 +174,33 @@ def assumed_camera(places: Float[ndarray, "T 3"], hands: Iterable[Float[ndarray,
 def camera_facing_object(
     R_cam_world: Float[ndarray, "3 3"], places: Float[ndarray, "T 3"], described: str
 ) -> PosedCamera:
-    """Place a fixed camera of some orientation that looks at the median of an object's places [m] from ``ASSUMED_CAMERA_DISTANCE_M``."""
-    T_cam_world = se3.rigid(
-        R_cam_world, [0.0, 0.0, ASSUMED_CAMERA_DISTANCE_M] - R_cam_world @ np.median(places, axis=0)
-    )
+    """Place a static camera of an orientation ``ASSUMED_CAMERA_DISTANCE_M`` before an object's median position [m]."""
+    t = [0.0, 0.0, ASSUMED_CAMERA_DISTANCE_M] - R_cam_world @ np.median(places, axis=0)
+    T_cam_world = se3.rigid(R_cam_world, t)
     K, size = assumed_pinhole()
-    described += (
-        f", {ASSUMED_CAMERA_DISTANCE_M:g} m from the object's median place, focal length {ASSUMED_FOCAL_PX:g} px"
-    )
+    described += f", {ASSUMED_CAMERA_DISTANCE_M:g} m from its median place, focal length {ASSUMED_FOCAL_PX:g} px"
     return PosedCamera(K, size, np.tile(T_cam_world, (len(places), 1, 1)), assumed(described))
 
 
 def assumed_pinhole() -> tuple[Float[ndarray, "3 3"], tuple[int, int]]:
-    """Return the camera's intrinsics, and the size of its images [px]."""
-    return np.array(
-        [
-            [ASSUMED_FOCAL_PX, 0.0, ASSUMED_IMAGE_SIZE_PX[0] / 2.0],
-            [0.0, ASSUMED_FOCAL_PX, ASSUMED_IMAGE_SIZE_PX[1] / 2.0],
-            [0.0, 0.0, 1.0],
-        ]
-    ), ASSUMED_IMAGE_SIZE_PX
+    """Return the assumed intrinsics and image size [px]."""
+    f, (width, height) = ASSUMED_FOCAL_PX, ASSUMED_IMAGE_SIZE_PX
+    return np.array([[f, 0.0, width / 2.0], [0.0, f, height / 2.0], [0.0, 0.0, 1.0]]), ASSUMED_IMAGE_SIZE_PX
 
 
 @dataclass(frozen=True)
 class FittedHand:
-    """The generic hand in every frame, of one shape."""
+    """The generic hand in every frame, of one shape, in the joints' frame."""
 
     track: HandTrack
-    """Its poses are in the frame that the joints were in."""
     residuals: Float[ndarray, "T 21"]
-    """Distances of its joints from the true ones [m]."""
+    """Distances of the hand's joints from the true joints [m]."""
 
 
 def fit_hand(file: Path, key: str, side: Side, joints: Float[ndarray, "T 21 3"]) -> FittedHand:
-    """Fit the generic hand to joints [m] in this package's order, those of ``key`` in a file.
+    """Fit the generic hand to joints [m] in this package's order.
 
-    Raises ``InputError`` where they are no hand's.
+    Raises ``InputError`` with ``file`` and ``key`` for impossible joints.
     """
     model = generic.load(side)
     try:
@@ -229,7 +213,7 @@ def fit_hand(file: Path, key: str, side: Side, joints: Float[ndarray, "T 21 3"])
 
 
 def describe_fit(residuals: Float[ndarray, "T 21"]) -> str:
-    """Describe how well a hand fits, by distances of joints [m]."""
+    """Describe a hand's fit by its joints' residuals [m]."""
     off = 1e3 * residuals
     rms = np.sqrt(np.mean(off**2))
     return f"joints {rms:.1f} mm off (root mean square; median {np.median(off):.1f}, worst {off.max():.1f})"
@@ -238,10 +222,7 @@ def describe_fit(residuals: Float[ndarray, "T 21"]) -> str:
 def _normalise_girth(
     model: HandModel, shape: Float[ndarray, "S"], joints: Float[ndarray, "T 21 3"]
 ) -> Float[ndarray, "S"]:
-    """Return the shape with fingers as thick as the hand is long.
-
-    Joints say nothing about girth, but enlarge it by chance.
-    """
+    """Return the shape with fingers in proportion to the hand's length: joints do not determine the girth."""
     length = np.median(_mean_finger_length(joints)) / _mean_finger_length(model.with_shape().with_pose().joints)
     shape = shape.copy()
     shape[model.shape_names.index("thickness")] = length - 1.0 - shape[model.shape_names.index("size")]
@@ -249,35 +230,25 @@ def _normalise_girth(
 
 
 def _mean_finger_length(joints: Float[ndarray, "*batch 21 3"]) -> Float[ndarray, "*batch"]:
-    """Mean over the four fingers of the length along the bones from the wrist to the tip [m]."""
+    """Compute the mean length of the four fingers along the bones from the wrist to the tip [m]."""
     wrist = np.broadcast_to(joints[..., None, :1, :], (*joints.shape[:-2], 4, 1, 3))
     chains = np.concatenate([wrist, joints[..., 5:, :].reshape(*joints.shape[:-2], 4, 4, 3)], axis=-2)
     return np.asarray(np.linalg.norm(np.diff(chains, axis=-2), axis=-1).sum(axis=-1).mean(axis=-1))
 
 
-HAND_SIDES: tuple[Side, ...] = ("left", "right")
 TRACK_NAME_KEYS = ("category", "subject", "sequence")
 CAMERA_KEYS = ("K", "size", "T_cam_world")
 ARTICULATION_KEYS = ("articulation", "mesh_top", "joint")
 SOURCE_TEXT_KEYS = ("source", "licence", "assumed_camera")
-JOINT_ARRAY_KEYS = tuple(f"{kind}_{side}" for kind in ("joints", "estimated") for side in HAND_SIDES)
+JOINT_ARRAY_KEYS = tuple(f"{kind}_{side}" for kind in ("joints", "estimated") for side in SIDES)
+OTHER_KEYS = ("order", "T_world_obj", "mesh", "fps", "frames")
 TRACK_FILE_KEYS = {
-    *JOINT_ARRAY_KEYS,
-    "order",
-    "T_world_obj",
-    "mesh",
-    "fps",
-    "frames",
-    *TRACK_NAME_KEYS,
-    *CAMERA_KEYS,
-    *ARTICULATION_KEYS,
-    *SOURCE_TEXT_KEYS,
-}
+    *JOINT_ARRAY_KEYS, *OTHER_KEYS, *TRACK_NAME_KEYS, *CAMERA_KEYS, *ARTICULATION_KEYS, *SOURCE_TEXT_KEYS
+}  # fmt: skip
 GRASP_OPTIONS_10_MM = GraspOptions(contact_mm=10.0, shortest=MIN_GRASP_FRAMES)
-"""Definition of ``arctic`` except for the contact: within 10 mm, fitted hands touch as true ones do (docs/arctic.md),
-at 0 mm not."""
+"""The definition of ``arctic``, but for contact within 10 mm: there, unlike at 0 mm, fitted hands touch as true hands
+do (docs/arctic.md)."""
 MAX_TRACK_FPS = 1000.0
-"""Frames per second."""
 
 Arrays = dict[str, Shaped[ndarray, "..."]]
 
@@ -298,14 +269,17 @@ class Tracks(TrackedDataset):
 
 
 def _read_tracks(file: Path, note: Note) -> Iterator[Track]:
-    """Yield the object in each hand, in the frames in which all that the file holds is known."""
+
     motion = read_motion(file, note)
     if motion is not None:
         yield from motion_tracks(motion)
 
 
 def read_motion(file: Path, note: Note) -> HandObjectMotion | None:
-    """Read a file, in the frames in which all that it holds is known; None for fewer than 2. Raises ``InputError``."""
+    """Read a file, in the frames in which all arrays are known; None, after a note, with fewer than 2 such frames.
+
+    Raises ``InputError``.
+    """
     stored = arrays.read(file, TRACK_FILE_KEYS.__contains__)
     order = _read_joint_order(file, stored)
     category, subject, sequence = (_read_name(file, stored, key) for key in TRACK_NAME_KEYS)
@@ -325,7 +299,7 @@ def read_motion(file: Path, note: Note) -> HandObjectMotion | None:
         note(f"{file.name}: hands and object are known in {rows.size} of {T} frames: skipped")
         return None
     if not se3.is_rigid(poses[rows]).all():
-        raise InputError(file, "T_world_obj", "matrices that are no rigid motions", "rotations and translations [m]")
+        raise InputError(file, "T_world_obj", "matrices that are not rigid", "rotations and translations [m]")
     mesh, joint = _read_object(file, stored)
     return HandObjectMotion(
         file=file,
@@ -350,15 +324,14 @@ def read_motion(file: Path, note: Note) -> HandObjectMotion | None:
 
 
 def _read_joint_arrays(file: Path, arrays: Arrays, kind: str, T: int) -> dict[Side, Float[ndarray, "T 21 3"]]:
-    """Read the joints of each hand that the file has, in its own order."""
-    keys = {side: f"{kind}_{side}" for side in HAND_SIDES}
-    return {
-        side: _read_with_unknown_frames(file, arrays, key, (T, 21, 3)) for side, key in keys.items() if key in arrays
-    }
+    """Read the joints of each hand in the file, in the file's order."""
+
+    there = {side: key for side in SIDES if (key := f"{kind}_{side}") in arrays}
+    return {side: _read_with_unknown_frames(file, arrays, key, (T, 21, 3)) for side, key in there.items()}
 
 
 def _read_object(file: Path, value: Arrays) -> tuple[Mesh, Joint | None]:
-    """Read the object from its mesh, or from two where it has a joint."""
+    """Read the object from its mesh, or from two meshes if articulated."""
     has = [key for key in ARTICULATION_KEYS if key in value]
     if has and len(has) < len(ARTICULATION_KEYS):
         raise InputError(file, ", ".join(ARTICULATION_KEYS), f"only {', '.join(has)}", "all of them, or none")
@@ -376,7 +349,7 @@ def _read_object(file: Path, value: Arrays) -> tuple[Mesh, Joint | None]:
 
 
 def _read_posed_camera(file: Path, value: Arrays, T: int, rows: Int[ndarray, "n"]) -> PosedCamera | None:
-    """Return the file's camera in some of its frames; None where it has none."""
+    """Read the camera in some frames; None without a camera in the file."""
     has = [key for key in CAMERA_KEYS if key in value]
     if not has:
         return None
@@ -388,11 +361,11 @@ def _read_posed_camera(file: Path, value: Arrays, T: int, rows: Int[ndarray, "n"
         raise InputError(file, "size", f"{width:g} x {height:g}", "width and height in pixels, 1 to 10000")
     T_cam_world = arrays.floats(file, value, "T_cam_world", (4, 4) if value["T_cam_world"].ndim == 2 else (T, 4, 4))
     if not se3.is_rigid(T_cam_world).all():
-        raise InputError(file, "T_cam_world", "what is no rigid motion", "rotations and translations [m]")
-    described = (
-        assumed(_read_text(file, value, "assumed_camera")) if "assumed_camera" in value else measured("the file's own")
-    )
-    return PosedCamera(K, (int(width), int(height)), np.broadcast_to(T_cam_world, (T, 4, 4))[rows], described)
+        raise InputError(file, "T_cam_world", "matrices that are not rigid", "rotations and translations [m]")
+    source = measured("the file's own")
+    if "assumed_camera" in value:
+        source = assumed(_read_text(file, value, "assumed_camera"))
+    return PosedCamera(K, (int(width), int(height)), np.broadcast_to(T_cam_world, (T, 4, 4))[rows], source)
 
 
 def _read_frame_numbers(file: Path, value: Arrays, T: int) -> Int[ndarray, "T"]:
@@ -412,10 +385,7 @@ def _read_fps(file: Path, value: Arrays) -> float:
 
 
 def _read_with_unknown_frames(file: Path, value: Arrays, key: str, shape: tuple[int, ...]) -> Float[ndarray, "T ..."]:
-    """Check an array in which whole frames may be NaN.
-
-    Raises ``InputError`` also for frames of which only a part is.
-    """
+    """Check an array in which whole frames may be NaN. Raises ``InputError``, also for frames that are partly NaN."""
     if key in value and value[key].dtype.kind == "f" and value[key].ndim == len(shape):
         values = value[key].astype(float)
         unknown = np.asarray(np.isnan(values).all(axis=tuple(range(1, len(shape)))))

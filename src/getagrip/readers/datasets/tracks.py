@@ -1,4 +1,4 @@
-"""True tracks of a hand and an object: what the readers of DexYCB, HOT3D, ARCTIC, HOI4D and HO-3D make of a sequence.
+"""True tracks of a hand and an object, which the readers of DexYCB, HOT3D, ARCTIC, HOI4D and HO-3D make of a sequence.
 
 ``cutting`` cuts tracks into pieces, and makes each piece a clip.
 """
@@ -19,42 +19,50 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.hands.model import Side
-from getagrip.io.files import Json
+from getagrip.io.files import Json, shorten_value
 from getagrip.io.terminal import format_count
 from getagrip.provenance import Provenance
 from getagrip.readers.datasets.dataset import Note
+from getagrip.stable_grasps.definition import GraspOptions
 from getagrip.stable_grasps.grasp_lists import CLIP_NAME_SEPARATOR, ListedGrasp
 
 if TYPE_CHECKING:
     from getagrip.geometry.rasterize import Surface
 
 MAX_SEQUENCE_FRAMES = 20_000
-"""Most frames of a sequence: ten times as many as the longest of these datasets has. A hand in all of them takes 0.4
-GB."""
+"""Maximum number of frames of a sequence: ten times the longest sequence of these datasets, 0.4 GB for a hand."""
+GRASPS_WITHIN_10_MM = GraspOptions(contact_mm=10.0)
 
 
 def check_length(path: Path, key: str, frames: int) -> None:
-    """Raise ``InputError`` for more frames than a sequence can have, before memory is taken for them."""
+    """Raise ``InputError`` for sequences that are too long, before memory is taken for them."""
     if frames > MAX_SEQUENCE_FRAMES:
         raise InputError(path, key, f"{frames} frames", f"at most {MAX_SEQUENCE_FRAMES}")
 
 
+def check_pinhole(path: Path, key: str, K: Float[ndarray, "3 3"], skew: float = 0.0) -> Float[ndarray, "3 3"]:
+    """Return pinhole intrinsics; raise ``InputError`` for other matrices, and for more skew than ``skew`` times fx."""
+    if not (K[0, 0] > 0 and K[1, 1] > 0 and np.all(K[2] == [0, 0, 1]) and abs(K[0, 1]) <= skew * K[0, 0]):
+        raise InputError(path, key, shorten_value(K.tolist()), "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    return K
+
+
 @dataclass(frozen=True)
 class Track:
-    """A hand and an object over some frames of a sequence, where both are, in the camera frame."""
+    """A hand and an object in the camera frame, in the frames of a sequence in which both are known."""
 
     file: Path
-    """File that it was read from."""
+    """The file that was read."""
     subject: str
-    """Whose hand it is, as far as the dataset says."""
+    """The person, as far as the dataset says."""
     sequence: str
     category: str
     side: Side
     fps: float
     numbers: Int[ndarray, "T"]
-    """Numbers of the frames, rising; where some are missing, there is a gap."""
+    """Numbers of the frames, rising; missing numbers are gaps."""
     digits: int
-    """Number of digits of a frame's number in the dataset's own file names."""
+    """Number of digits of frame numbers in the dataset's file names."""
     size: tuple[int, int]
     """Width and height of the images [px]."""
     K: Float[ndarray, "3 3"]
@@ -62,29 +70,28 @@ class Track:
     hand: HandTrack
     T_cam_obj: Float[ndarray, "T 4 4"]
     mesh: Mesh
-    """The object; where it has a joint, at ``joint.angle``."""
+    """The object, at ``joint.angle`` if articulated."""
     provenance: Provenance
     """Sources of hands, masks, camera and scale."""
     joint: Joint | None = None
-    """Joint of the object, where it has one."""
     articulation: Float[ndarray, "T"] | None = None
     """Angle of the joint [rad]."""
     origin: int = 0
-    """Number of the sequence's first frame, by which lists of grasps count."""
+    """Number of the sequence's first frame, from which lists of grasps count."""
     other_hand: HandTrack | None = None
-    """The other hand, which hides and is ignored as well, in the same frames."""
+    """The other hand in the same frames: an occluder, ignored as well."""
     input_hand: HandTrack | None = None
-    """The hand as an estimator has it: its clips are given that one, and ``hand`` is their ground truth."""
+    """The hand as an estimator has it: the clips' input hand, with ``hand`` as their ground truth."""
     read_masks: Callable[[int], FrameMasks] | None = None
-    """The dataset's own masks of the frame of some number; rendered from the true poses where it has none."""
+    """Read the dataset's own masks of a frame, by its number; None if masks are rendered from the true poses."""
     world: World | None = None
     """Camera poses, if the dataset has them."""
     stamps: Float[ndarray, "T"] | None = None
-    """Times of the frames [s], where the dataset has them."""
+    """Times of the frames [s], if the dataset has them."""
 
     @property
     def name(self) -> str:
-        """Name of its clips, without the count."""
+        """Name of the track's clips, without their number."""
         return CLIP_NAME_SEPARATOR.join([self.subject, self.sequence, self.category, self.side])
 
     @property
@@ -94,7 +101,7 @@ class Track:
 
     @property
     def times(self) -> Float[ndarray, "T"]:
-        """When each frame was taken [s]: as stamped, or by the numbers since the sequence's first frame."""
+        """Times of the frames [s]: the stamps, or by the numbers since the sequence's first frame."""
         return (self.numbers - self.origin) / self.fps if self.stamps is None else self.stamps
 
     def __len__(self) -> int:
@@ -115,18 +122,18 @@ class Track:
         )
 
     def object(self, angle: float) -> Mesh:
-        """Return the object with its joint at an angle [rad]; always the same where it has none."""
+        """Return the object with its joint at an angle [rad], which rigid objects ignore."""
         if self.joint is None:
             return self.mesh
         return Mesh(self.joint.at(self.mesh.vertices, np.array([angle]))[0], self.mesh.faces)
 
     def surface(self, row: int) -> Surface:
-        """Return the object in the camera frame in one frame, its joint included."""
+        """Return the articulated object in the camera frame, in one frame."""
         mesh = self.object(0.0 if self.articulation is None else float(self.articulation[row]))
         return se3.transform(self.T_cam_obj[row], mesh.vertices), mesh.faces
 
     def describe(self, piece: TrackPiece) -> Json:
-        """Return the provenance of a piece's clip; this track has the frames of the piece that were kept."""
+        """Return the provenance of a piece's clip; this track has the kept frames of the piece."""
         out = {"subject": self.subject, **self.provenance, "clip": piece.made_of}
         if piece.masks and self.read_masks is None:
             hands = "hand" if self.other_hand is None else "hands"
@@ -148,43 +155,41 @@ class TrackPiece:
 
     track: Track
     name: str
-    """Name of its clip."""
+    """Name of the clip."""
     made_of: str
-    """Description, in words."""
+    """Description of the piece, in words."""
     grasp: ListedGrasp | None = None
     """Grasp in the list beside the clips; None for other pieces."""
     stable_area: str = ""
-    """For a grasp that was found: mean contact IOU over all pairs of its frames, and the contact's distance."""
+    """For a grasp found by contact: mean contact IOU over all pairs of frames, and the contact distance."""
     masks: bool = True
     segments: tuple[Segment, ...] = ()
     """Segments of a timeline."""
     other: Track | None = None
-    """For a timeline, the object with the hand of the other side, in the frames in which that is known."""
+    """For a timeline, the track of the object with the other hand."""
 
 
 @dataclass(frozen=True)
 class SequenceSource:
-    """A sequence that is yet to be read; it can be sent to another process."""
+    """A sequence with the function that reads its tracks, which raises ``InputError``. Picklable."""
 
     name: str
     read: Callable[[Note], Iterable[Track]]
-    """Read a hand file; raise ``InputError`` for a malformed one."""
 
 
 def subject_from_clip_name(clip_name: str) -> str:
-    """Return the person whose hand is in a clip. Raises ``UsageError`` for a name that no track has."""
+    """Return the person in a clip's name. Raises ``UsageError`` for names of other clips."""
     subject, between, rest = clip_name.partition(CLIP_NAME_SEPARATOR)
     if not (subject and between and rest):
-        raise UsageError(
-            f"clip's name must be <subject>{CLIP_NAME_SEPARATOR}<sequence>{CLIP_NAME_SEPARATOR}<object>... (got {clip_name!r})"
-        )
+        form = CLIP_NAME_SEPARATOR.join(["<subject>", "<sequence>", "<object>..."])
+        raise UsageError(f"clip's name must be {form} (got {clip_name!r})")
     return subject
 
 
 def intrinsics_from_opencv(K: Float[ndarray, "3 3"], scale: float = 1.0) -> Float[ndarray, "3 3"]:
-    """Convert OpenCV's intrinsics to those of an image ``scale`` times as large.
+    """Convert OpenCV's intrinsics to an image ``scale`` times as large.
 
-    OpenCV counts from the centre of the first pixel, this package from its corner.
+    OpenCV's origin is the centre of the first pixel, this package's its corner.
     """
     centred = K.copy()
     centred[:2, 2] += 0.5

@@ -1,15 +1,13 @@
-"""Masks and labels in numpy's files: ``.npz`` and ``.npy`` of all frames, or an array for each frame; SAM 2's pickles.
+"""Masks in arrays: ``.npz`` and ``.npy`` of all frames, or an array for each frame, SAM 2's pickles; soft edges.
 
-Whole numbers and booleans are labels. Of numbers with fractions, those from 0 to 1 are probabilities, of which half and
-more counts; where some are below 0, they are logits, of which those above 0 count.
+Whole numbers and booleans are labels. Numbers with fractions from 0 to 1 are probabilities, with a threshold of one
+half; with values below 0, they are logits, with a threshold of 0.
 
-SAM 2's ``open_video_segments`` are ``{frame: {object: mask}}``, frames from 0, masks (1, H, W) or (H, W). SAM 3's outputs
+SAM 2's ``video_segments`` are ``{frame: {object: mask}}``, frames from 0, masks (1, H, W) or (H, W). SAM 3's outputs
 are ``{frame: {"out_obj_ids": (N,), "out_binary_masks": (N, H, W)}}``.
 
-Masks with soft edges, as resizing, smoothing and lossy compression leave them: half of the maximum and more counts.
-
-An image of labels has areas of each label; in a soft mask, only the background and the maximum have. What is between
-them are steps from the one to the other.
+Resizing, smoothing and lossy compression leave soft edges; the threshold is half of the maximum. An image of labels has
+areas of each label; a soft mask has areas of the background and the maximum only, with steps between them.
 """
 
 from __future__ import annotations
@@ -26,35 +24,35 @@ from getagrip.clip.clip import FrameMasks, frame_indices
 from getagrip.clip.match_frames import MAX_NAMES_IN_ERROR, frame_of
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays, files, pickles
+from getagrip.io.files import printable, shorten_value
 from getagrip.readers.masks.mask_regions import union
 from getagrip.readers.masks.mask_request import LabelChoice, MaskReader, MaskRequest, combine_hand_object_masks
 
 SOFT_EDGES_NOTE = "edges are soft: values of half of the maximum and more were used, in images"
 N_SAMPLED_IMAGES = 9
-"""Images."""
 MIN_SOFT_MAXIMUM = 64
-"""Below it, values are labels."""
+"""Minimum maximum of a soft mask; smaller values are labels."""
 MIN_EDGE_VALUES, MULTI_MASK_EDGE_VALUES = 3, 8
-"""Values that are edges only: of a soft mask, and of several of them in one image."""
+"""Minimum number of edge values of a soft mask, and of several soft masks in one image."""
 MIN_INTERIOR_FRACTION = 0.25
-"""Share of the pixels of a value that are like all four neighbours, from which on the value is an area's."""
+"""Minimum fraction of an area's pixels that equal all four neighbours."""
 
 
 Load = Callable[[int], tuple[Path, Int[ndarray, "H W"]]]
-"""The file of a frame's image, and its labels."""
+"""A function that reads the labels of a frame, with their file."""
 
 
 def binarise_soft_masks(
     load: Load, frames: Collection[int], notes: Counter[str], named: Sequence[int] = (), others: bool = False
 ) -> Load:
-    """Load masks with soft edges as one label, where some of the images show that they are such masks.
+    """Load masks with soft edges as one label, if a sample of the images has soft edges.
 
-    ``named`` are the labels of the object, as far as they are; ``others`` whether others are named as well. ``notes``
-    counts the images with soft edges.
+    ``named`` are the object's labels that the user names; ``others`` is True for further named labels. ``notes`` counts
+    the images with soft edges.
     """
     looked = (soft_maximum(*load(n), named, others) for n in sample_frames(frames))
     maximum = next((one for one in looked if one is not None), None)
-    notes.clear()  # of what is read again
+    notes.clear()  # the sampled images are read again
     if maximum is None:
         return load
 
@@ -67,15 +65,15 @@ def binarise_soft_masks(
 
 
 def sample_frames(frames: Collection[int]) -> list[int]:
-    """Return some of the frames, spread over them, that stand for all."""
+    """Sample frames evenly."""
     every = sorted(frames)
     return [every[i] for i in frame_indices(len(every), N_SAMPLED_IMAGES)]
 
 
 def soft_maximum(path: Path, labels: Int[ndarray, "H W"], named: Sequence[int], others: bool) -> int | None:
-    """Return the largest value of a mask with soft edges; None for an image of labels, and for a sharp one.
+    """Return the maximum of a mask with soft edges; None for an image of labels, and for a sharp mask.
 
-    Raises ``InputError`` for several masks with soft edges in one image, and where a label is named that is an edge's.
+    Raises ``InputError`` for several masks with soft edges in one image, and for a named label that is an edge value.
     """
     channels = [channel for channel in _colour_channels(labels) if channel.any()]
     if not channels or not all(np.array_equal(channel, channels[0]) for channel in channels):
@@ -103,7 +101,7 @@ def soft_maximum(path: Path, labels: Int[ndarray, "H W"], named: Sequence[int], 
 
 
 def area_values(labels: Int[ndarray, "H W"]) -> list[int]:
-    """Return the values that are no background's and have areas of their own, not only edges."""
+    """Return the values, except for the background, that have areas and not only edges."""
     values, at, count = np.unique(labels, return_inverse=True, return_counts=True)
     if len(values) < 3:
         return [value for value in values.tolist() if value]
@@ -112,7 +110,7 @@ def area_values(labels: Int[ndarray, "H W"]) -> list[int]:
 
 
 def _interior_pixels(values: Int[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
-    """Return which pixels have the value of all of their neighbours."""
+    """Return which pixels equal all of their neighbours."""
     inside = np.ones(values.shape, dtype=bool)
     for axis in (0, 1):
         same = np.diff(values, axis=axis) == 0
@@ -123,17 +121,15 @@ def _interior_pixels(values: Int[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
 
 
 def _colour_channels(labels: Int[ndarray, "H W"]) -> list[Int[ndarray, "H W"]]:
-    """Red, green and blue of colours, else the values."""
+    """Return red, green and blue of colours, else the values."""
     return [labels] if labels.max(initial=0) < 2**16 else [labels >> 16, labels >> 8 & 255, labels & 255]
 
 
 MASK_KINDS = ("object", "ignore", "hand")
-LOGITS_NOTE, PROBABILITIES_NOTE = (
-    "logits: values above 0 were used, in images",
-    "probabilities: values of one half and more were used, in images",
-)
+LOGITS_NOTE = "logits: values above 0 were used, in images"
+PROBABILITIES_NOTE = "probabilities: values of one half and more were used, in images"
 Numbers = Callable[[int], tuple[Path, str, ndarray]]
-"""The file of a frame's array, its key, and the array."""
+"""A function that reads a frame's array, with its file and key."""
 
 
 def open_npz_masks(path: Path, request: MaskRequest) -> MaskReader:
@@ -143,7 +139,7 @@ def open_npz_masks(path: Path, request: MaskRequest) -> MaskReader:
     if key is None:
         names = [name for name, array in stored.items() if array.ndim in (2, 3)]
         if not any(frame_of(name, request.frames) is not None for name in names):
-            there = f"the arrays {', '.join(map(files.printable, list(stored)[:3]))}" if stored else "no array"
+            there = f"the arrays {', '.join(map(printable, list(stored)[:3]))}" if stored else "no array"
             raise InputError(path, "object", there, "the array, or one called labels, or one for each frame")
         rows = request.places(path, [f"{name}.npy" for name in names])
         return _label_reader(path, lambda n: (path, names[rows[n]], stored[names[rows[n]]]), rows, request)
@@ -194,7 +190,7 @@ def open_npy_folder(folder: Path, paths: Sequence[Path], request: MaskRequest) -
 
 
 def is_stack(path: Path) -> bool:
-    """Return whether the only, or first, array of a file is of several images: three axes. Raises ``InputError``."""
+    """Return whether the first array of a file is a stack of images. Raises ``InputError``."""
     if path.suffix == ".npy":
         array = arrays.parse_npy(path, "", files.read_bytes(path, arrays.MAX_NPZ_BYTES))
     else:
@@ -221,7 +217,6 @@ def _binary_mask_loader(
 
 
 def _label_loader(load: Numbers, frames: Collection[int], request: MaskRequest, notes: Counter[str]) -> Load:
-    """Make a loader of labels from arrays of any numbers."""
     samples = (load(n)[2] for n in sample_frames(frames))
     logits = any(array.dtype.kind == "f" and array.size and array.min() < 0.0 for array in samples)
 
@@ -248,21 +243,21 @@ def _match_stack_rows(path: Path, stored: Mapping[str, ndarray], count: int, req
         return request.in_order(path, count)
     names = arrays.array_from_names(stored["frames"])
     if names is None or len(names) != count:
-        raise InputError(path, "frames", files.shorten_value(stored["frames"]), f"{count} names, or numbers from 0 on")
+        raise InputError(path, "frames", shorten_value(stored["frames"]), f"{count} names, or numbers from 0 on")
     return request.places(path, [str(name) for name in names])
 
 
 MAX_SEGMENTS_BYTES = 512 * 2**20
-"""Bytes of a file: 250 masks of 1920 x 1080."""
+"""Maximum size of a file: 250 masks of 1920 x 1080."""
 SEGMENTS_DESCRIPTION = "SAM 2's video_segments, {frame: {object: mask}}, or SAM 3's outputs of each frame"
 SAM3_KEYS = (("out_obj_ids", "out_binary_masks"), ("object_ids", "masks"))
-"""Keys of a frame's objects and of their masks: as SAM 3's predictor has them, and as transformers has."""
+"""Keys of a frame's objects and their masks, of SAM 3's predictor and of transformers."""
 
 
 def open_video_segments(path: Path, request: MaskRequest) -> MaskReader:
-    """Open a reader of the masks of numbered objects; in a frame without one, nothing of it is visible.
+    """Open the masks of numbered objects; an object without a mask in a frame is not visible.
 
-    Raises ``InputError`` for malformed frames and where there is none of the wanted ones, ``UsageError`` for labels.
+    Raises ``InputError`` for malformed frames and without any requested frame, ``UsageError`` for unknown labels.
     """
     value = pickles.read_pickle_file(path, SEGMENTS_DESCRIPTION, MAX_SEGMENTS_BYTES)
     below = next((name for name in value if isinstance(name, int) and name < 0), None)
@@ -294,9 +289,9 @@ def open_video_segments(path: Path, request: MaskRequest) -> MaskReader:
 
 
 def _masks_by_object(path: Path, name: str, of_frame: object) -> Mapping[object, object]:
-    """Return the masks of a frame by object, of SAM 2 or of SAM 3. Raises ``InputError``."""
+    """Return the masks of a frame by object, from SAM 2 or SAM 3. Raises ``InputError``."""
     if not isinstance(of_frame, Mapping):
-        raise InputError(path, files.printable(name), files.shorten_value(of_frame), SEGMENTS_DESCRIPTION)
+        raise InputError(path, printable(name), shorten_value(of_frame), SEGMENTS_DESCRIPTION)
     found = next(((ids, masks) for ids, masks in SAM3_KEYS if ids in of_frame and masks in of_frame), None)
     if found is None:
         return of_frame
@@ -304,27 +299,25 @@ def _masks_by_object(path: Path, name: str, of_frame: object) -> Mapping[object,
     try:
         return {str(int(one)): mask for one, mask in zip(ids, masks, strict=True)}
     except (TypeError, ValueError) as error:
-        raise InputError(
-            path, f"{files.printable(name)}.{found[0]}", files.shorten_value(ids), "a number for each mask"
-        ) from error
+        key = f"{printable(name)}.{found[0]}"
+        raise InputError(path, key, shorten_value(ids), "a number for each mask") from error
 
 
 def _check_mask_array(path: Path, key: str, value: object, request: MaskRequest) -> Bool[ndarray, "H W"]:
-    """Check one mask. Raises ``InputError``."""
     expected = "a mask of booleans, whole numbers or logits"
     if not isinstance(value, ndarray):
-        raise InputError(path, files.printable(key), files.shorten_value(value), expected)
-    value = _check_image_array(path, files.printable(key), value, request)
+        raise InputError(path, printable(key), shorten_value(value), expected)
+    value = _check_image_array(path, printable(key), value, request)
     if value.dtype.kind == "f":
         least, most = float(value.min()), float(value.max())  # NaN where any is
         if not (least < 0.0 or 0.0 <= least <= most <= 1.0) or np.isnan(most):
-            raise InputError(path, files.printable(key), f"numbers from {least:g} to {most:g}", expected)
+            raise InputError(path, printable(key), f"numbers from {least:g} to {most:g}", expected)
         return np.asarray(value >= (0.5 if least >= 0.0 else np.nextafter(0.0, 1.0)))
     return np.asarray(value != 0)
 
 
 def _check_image_array(path: Path, key: str, array: ndarray, request: MaskRequest) -> ndarray:
-    """Return numbers of an image (h, w), of whatever size. Raises ``InputError``."""
+    """Return an image (h, w) of numbers, of any size. Raises ``InputError``."""
     if array.dtype.kind not in "biuf" or array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[0] != 1):
         expected = f"numbers or booleans of shape ({request.size[1]}, {request.size[0]})"
         raise InputError(path, key, f"{array.dtype} of shape {array.shape}", expected)
@@ -334,7 +327,7 @@ def _check_image_array(path: Path, key: str, array: ndarray, request: MaskReques
 
 
 def holds_objects(path: Path) -> bool:
-    """Return whether an ``.npy`` file holds Python's objects, or is damaged; else it is an array of numbers."""
+    """Return whether an ``.npy`` file holds Python objects, or is damaged, rather than numbers."""
     headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     try:
         with path.open("rb") as stream:
@@ -344,6 +337,5 @@ def holds_objects(path: Path) -> bool:
 
 
 def _list_names(names: object) -> str:
-    """List the first names, in words."""
-    all_names = [files.printable(str(name)) for name in names] if isinstance(names, list | dict) else []
+    all_names = [printable(str(name)) for name in names] if isinstance(names, list | dict) else []
     return ", ".join(all_names[:MAX_NAMES_IN_ERROR]) + (", ..." if len(all_names) > MAX_NAMES_IN_ERROR else "")

@@ -1,15 +1,11 @@
-"""Masks in JSON: COCO's, YouTube-VIS's and SA-V's masklets, a file for all images; LabelMe's shapes, one for each.
+"""Masks from labelled regions, polygons or run lengths, of COCO, YouTube-VIS, SA-V, LabelMe and YOLO.
 
-Regions of an image as COCO writes them: polygons and run lengths, to pixels.
+A pixel belongs to a polygon if its centre is inside, and along the border within half a pixel (``cv2.fillPoly``, to
+1/256 px). Run lengths go down the columns, beginning with pixels outside; compressed ones are COCO's texts. Not
+pycocotools (2.0.11): runs that end early leave stray memory in its masks, and a random text can abort the process.
 
-A pixel belongs to a polygon where its centre is inside, and along the border within half a pixel (``cv2.fillPoly``, to
-1/256 px). Run lengths go down the columns, beginning with pixels that are outside; compressed ones are COCO's texts.
-Not pycocotools (2.0.11): runs that end early leave stray memory in its masks, and a random text can abort the process.
-
-Masks from regions with labels, as annotators and trackers list them: polygons or run lengths.
-
-A region is chosen by its label. Where there are several things of one label, as two cups, a thing is chosen by its own
-number: ``cup:7``; ``cup:all`` takes them together.
+A region is chosen by its label. Of several instances of a label, as two cups, one is chosen by its number, ``cup:7``;
+``cup:all`` joins them.
 """
 
 from __future__ import annotations
@@ -29,41 +25,39 @@ from getagrip.clip.clip import FrameMasks
 from getagrip.clip.match_frames import MAX_NAMES_IN_ERROR
 from getagrip.errors import InputError
 from getagrip.io import arrays, files
+from getagrip.io.files import printable, shorten_value
 from getagrip.io.images import decode_image
 from getagrip.readers.masks.mask_request import MaskReader, MaskRequest, combine_hand_object_masks
 
 MAX_REGION_CORNERS = 100_000
-"""Most corners of the polygons of one region."""
+"""Maximum number of corners of a region's polygons."""
 MAX_NESTED_POLYGONS = 1000
-"""Polygons of one region beyond which none is looked at as a hole."""
+"""Maximum number of polygons of a region with holes; with more, all are filled."""
 N_INSIDE_TEST_CORNERS = 16
-"""Corners of a polygon by which it is inside another one."""
+"""Number of corners by which a polygon is tested to be inside another."""
 NESTED_POLYGONS_NOTE = "polygons inside others of their region were filled (holes are wound the other way)"
 MAX_DRAWN_PIXELS = 2**30
-"""Pixels that are gone through for the regions of one kind in a frame, or for the polygons of one region."""
+"""Maximum number of pixels to draw for the regions of one kind in a frame, or for the polygons of a region."""
 
 
 def fill_polygons(
     path: Path, key: str, value: object, size: tuple[int, int], notes: Counter[str] | None = None
 ) -> Bool[ndarray, "H W"]:
-    """Fill polygons [[x, y, x, y, ...], ...], clipped to the image.
+    """Fill polygons [[x, y, x, y, ...], ...], clipped to the image. Raises ``InputError``.
 
-    Raises ``InputError``.
-
-    Corners may leave the image by its own size, no further. A polygon inside another one that is wound the other way
-    is a hole in it; ``notes`` count those that are wound the same way, and are filled.
+    Corners may exceed the image by its size. A polygon inside another one and wound the other way is a hole; ``notes``
+    counts nested polygons wound the same way, which are filled.
     """
-
     width, height = size
     if not isinstance(value, list) or not all(isinstance(corners, list) for corners in value):
-        raise InputError(path, key, files.shorten_value(value), "polygons, [[x, y, x, y, ...], ...]")
+        raise InputError(path, key, shorten_value(value), "polygons, [[x, y, x, y, ...], ...]")
     if sum(map(len, value)) > 2 * MAX_REGION_CORNERS:
         raise InputError(path, key, f"{sum(map(len, value)) // 2} corners", f"at most {MAX_REGION_CORNERS}")
     found, drawn = list[Float[ndarray, "n 2"]](), 0
     for corners in value:
         points = arrays.from_lists(corners)
         if points is None or points.dtype.kind not in "fi" or points.ndim != 1 or len(points) < 6 or len(points) % 2:
-            raise InputError(path, key, files.shorten_value(corners), "at least three corners x, y, x, y, x, y")
+            raise InputError(path, key, shorten_value(corners), "at least three corners x, y, x, y, x, y")
         points = points.reshape(-1, 2).astype(float)
         if not np.all((points >= -np.array(size)) & (points <= 2 * np.array(size))):  # false for NaN, too
             bad = f"corners from {points.min():g} to {points.max():g}"
@@ -78,7 +72,7 @@ def fill_polygons(
 def _draw_polygons(
     found: list[Float[ndarray, "n 2"]], size: tuple[int, int], notes: Counter[str]
 ) -> Bool[ndarray, "H W"]:
-    """Draw polygons, the largest first: a hole is inside one that was drawn and wound the other way."""
+    """Draw polygons, the largest first, so that holes are drawn after their outer polygon."""
     import cv2
 
     out = np.zeros(size[::-1], np.uint8)
@@ -106,7 +100,7 @@ def _signed_area(points: Float[ndarray, "n 2"]) -> float:
 
 
 def _is_inside(points: Float[ndarray, "n 2"], outer: Float[ndarray, "m 2"]) -> bool:
-    """Return whether some corners of a polygon, and the middle of these, are all in another one."""
+    """Return whether some corners of a polygon are all inside another one."""
     import cv2
 
     if (points.min(axis=0) < outer.min(axis=0)).any() or (points.max(axis=0) > outer.max(axis=0)).any():
@@ -121,33 +115,29 @@ def decode_run_lengths(path: Path, key: str, value: object, size: tuple[int, int
     width, height = size
     if not isinstance(value, dict) or value.get("size") != [height, width]:
         shape = value.get("size") if isinstance(value, dict) else value
-        raise InputError(
-            path, f"{key}.size", files.shorten_value(shape), f"[{height}, {width}], the size of the images"
-        )
+        raise InputError(path, f"{key}.size", shorten_value(shape), f"[{height}, {width}], the size of the images")
     counts = value.get("counts")
     if isinstance(counts, str):
         counts = _decode_coco_counts(path, key, counts, width * height)
     whole = isinstance(counts, list) and all(type(n) is int and n >= 0 for n in counts)
     if not whole or not isinstance(counts, list) or sum(counts) != width * height:
-        input_words = (
-            f"runs of {sum(counts)} pixels" if whole and isinstance(counts, list) else files.shorten_value(counts)
-        )
-        raise InputError(path, f"{key}.counts", input_words, f"runs of {width * height} pixels in all")
+        got = f"runs of {sum(counts)} pixels" if whole and isinstance(counts, list) else shorten_value(counts)
+        raise InputError(path, f"{key}.counts", got, f"runs of {width * height} pixels in all")
     inside = np.arange(len(counts)) % 2 == 1
     return np.repeat(inside, counts).reshape(width, height).T
 
 
 def _decode_coco_counts(path: Path, key: str, text: str, pixels: int) -> list[int]:
-    """COCO's text: numbers in groups of five bits, from the lowest, 32 for "more", the highest bit for the sign.
+    """Decode COCO's text: numbers in groups of five bits, lowest first, 32 for "more", the highest bit for the sign.
 
-    From the fourth on they are differences from the last but one (``rleFrString`` of the COCO API).
+    From the fourth number on, differences from the last number but one (``rleFrString`` of the COCO API).
     """
     counts: list[int] = []
     value = bits = 0
     for letter in text:
         group = ord(letter) - 48
         if not 0 <= group < 64 or bits > 30:
-            raise InputError(path, f"{key}.counts", files.shorten_value(text), "COCO's compressed run lengths")
+            raise InputError(path, f"{key}.counts", shorten_value(text), "COCO's compressed run lengths")
         value |= (group & 31) << bits
         bits += 5
         if not group & 32:
@@ -164,18 +154,18 @@ def _decode_coco_counts(path: Path, key: str, text: str, pixels: int) -> list[in
 
 @dataclass(frozen=True)
 class PngRegion:
-    """A region as a PNG of its own box, as LabelMe has it.
+    """A region as a PNG of its bounding box (LabelMe).
 
     Attributes:
-        content: the PNG's file.
-        corner: column and row of its first pixel in the image.
+        content: the PNG file.
+        corner: column and row of the first pixel in the image.
     """
 
     content: bytes
     corner: tuple[int, int]
 
     def pixels(self, path: Path, key: str, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
-        """Decode the region. Raises ``InputError`` where it is damaged or leaves the image."""
+        """Decode the region. Raises ``InputError``, also for a box that exceeds the image."""
         inside = decode_image(path, key, self.content, max(size)).any(axis=2)
         (x, y), (height, width) = self.corner, inside.shape
         if min(x, y) < 0 or x + width > size[0] or y + height > size[1]:
@@ -192,15 +182,13 @@ def decode_region(
     """Decode a COCO ``segmentation`` of either kind, or a ``PngRegion``. Raises ``InputError``."""
     if isinstance(value, PngRegion):
         return value.pixels(path, key, size)
-    return (
-        decode_run_lengths(path, key, value, size)
-        if isinstance(value, dict)
-        else fill_polygons(path, key, value, size, notes)
-    )
+    if isinstance(value, dict):
+        return decode_run_lengths(path, key, value, size)
+    return fill_polygons(path, key, value, size, notes)
 
 
 def run_length_size(value: object) -> tuple[int, int] | None:
-    """Return the width and height that run lengths state; None for other regions, and where they are malformed."""
+    """Return the width and height of run lengths; None for other regions, and for malformed ones."""
     stated = value.get("size") if isinstance(value, dict) else None
     if not isinstance(stated, list) or len(stated) != 2 or not all(type(side) is int for side in stated):
         return None
@@ -208,14 +196,14 @@ def run_length_size(value: object) -> tuple[int, int] | None:
 
 
 def drop_flat_polygons(value: object) -> object:
-    """Drop polygons of fewer than three corners or without area from a ``segmentation``; others stay as they are."""
+    """Drop polygons of fewer than three corners or without area from a ``segmentation``."""
     if not isinstance(value, list) or sum(len(one) for one in value if isinstance(one, list)) > 2 * MAX_REGION_CORNERS:
         return value
     return [one for one in value if not _is_flat(one)]
 
 
 def _is_flat(corners: object) -> bool:
-    """Return whether corners, where they are numbers, are on a line."""
+    """Return whether corners, if numbers, are on a line."""
     points = arrays.from_lists(corners) if isinstance(corners, list) else None
     if points is None or points.dtype.kind not in "fi" or points.ndim != 1 or len(points) % 2:
         return isinstance(corners, list) and not corners
@@ -248,40 +236,37 @@ ZERO_AREA_NOTE = "polygons without area were left out"
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A region of a thing in a frame."""
+    """A labelled region in a frame."""
 
     key: str
-    """Place in the file."""
+    """Position in the file."""
     labels: tuple[str, ...]
-    """By which it can be chosen; it is called by the first."""
+    """Labels that choose the region; the first one is its name."""
     thing: str
-    """Which of the things of that label it is of, in every frame; empty where the file does not say."""
+    """Number of the instance of the label, the same in all frames; empty if not stated."""
     content: object
-    """Polygons, run lengths or a picture."""
+    """Polygons, run lengths or a ``PngRegion``."""
     size: tuple[int, int] | None = None
-    """Width and height of its image; None for the clip's images'."""
+    """Width and height of the region's image; None for the clip's size."""
     path: Path | None = None
-    """Its file, where there are several."""
+    """The region's file; None if there is one file only."""
 
     @property
     def name(self) -> str:
-        """Its label, and which thing of that label it is."""
+        """Label and instance."""
         return f"{self.labels[0]}:{self.thing}" if self.thing else self.labels[0]
 
     def is_of(self, chosen: Sequence[str]) -> bool:
-        """Return whether it is named."""
+        """Return whether the region is among the chosen labels and instances."""
         return bool({*self.labels} & {*chosen}) or self.is_named_apart(chosen)
 
     def is_named_apart(self, chosen: Sequence[str]) -> bool:
-        """Return whether it is named as itself, or as one of all."""
+        """Return whether the region's instance, or all instances of its label, are chosen."""
         return any({f"{label}:{self.thing}", f"{label}:{ALL_INSTANCES}"} & {*chosen} for label in self.labels)
 
 
 def region_masks(path: Path, request: MaskRequest, regions: Mapping[int, Sequence[Region]]) -> MaskReader:
-    """Open a reader of the regions of some frames.
-
-    Raises ``InputError`` where it is not clear which are the object's.
-    """
+    """Open the regions of some frames. Raises ``InputError`` for several labels without a chosen one."""
     frames = {n: _FrameRegions.of(of_frame, request) for n, of_frame in regions.items()}
     labels = {one.labels[0] for frame in frames.values() for one in frame.object}
     if not request.object and len(labels) > 1:
@@ -306,25 +291,20 @@ def region_masks(path: Path, request: MaskRequest, regions: Mapping[int, Sequenc
 
     def read(n: int) -> FrameMasks:
         frame = frames[n]
-        return combine_hand_object_masks(
-            drawn(frame.object), drawn(frame.ignore), drawn(frame.hand) if request.hand else None
-        )
+        hand = drawn(frame.hand) if request.hand else None
+        return combine_hand_object_masks(drawn(frame.object), drawn(frame.ignore), hand)
 
     chosen = {"--object": request.object, "--ignore": request.ignore, "--hand": request.hand}
     every = [one for of_frame in regions.values() for one in of_frame]
-    unmet = {
-        f"{option} {word}"
-        for option, words in chosen.items()
-        for word in words
-        if not any(one.is_of([word]) for one in every)
-    }
+    named = [(option, word) for option, words in chosen.items() for word in words]
+    unmet = {f"{option} {word}" for option, word in named if not any(one.is_of([word]) for one in every)}
     everything = {one.name for one in every}
     return MaskReader(path, read, frames.keys(), {*sorted(everything)[:MAX_NAMES_IN_ERROR]}, unmet, notes, warnings)
 
 
 @dataclass(frozen=True)
 class _FrameRegions:
-    """The regions of a frame that count, by what they are."""
+    """The chosen regions of a frame, by kind."""
 
     object: Sequence[Region]
     ignore: Sequence[Region]
@@ -342,7 +322,7 @@ class _FrameRegions:
 
 
 def _describe_label_ambiguity(option: str, chosen: Sequence[str], frames: Sequence[Sequence[Region]]) -> Iterator[str]:
-    """Say which labels several things are chosen by, and how to choose one."""
+    """Describe the labels that choose several instances, and how to choose one."""
     by_label: dict[str, list[list[Region]]] = {}
     for of_frame in frames:
         here: dict[str, list[Region]] = {}
@@ -356,14 +336,10 @@ def _describe_label_ambiguity(option: str, chosen: Sequence[str], frames: Sequen
         counts = [sum(not one.thing for one in found) + len({one.thing for one in found} - {""}) for found in each]
         if len(things) < 2 and max(counts) < 2:
             continue
-        name, several = files.printable(label), sum(count > 1 for count in counts)
+        name, several = printable(label), sum(count > 1 for count in counts)
         where = f"{max(counts)} regions in {several} of {len(frames)} frames" if several else "one in each frame"
         names = sorted(f"{label}:{one}" for one in things - {""})[:MAX_NAMES_IN_ERROR]
-        way = (
-            f"{option} chooses one: {' or '.join(map(files.printable, names))}"
-            if names
-            else "a track_id tells them apart"
-        )
+        way = f"{option} chooses one: {' or '.join(map(printable, names))}" if names else "a track_id tells them apart"
         yield (
             f"several things are called {name}, {where}, and were taken together; {way}; "
             f"{option} {name}:{ALL_INSTANCES} if all are meant"
@@ -371,49 +347,47 @@ def _describe_label_ambiguity(option: str, chosen: Sequence[str], frames: Sequen
 
 
 def _join_label_names(names: set[str]) -> str:
-    return ", ".join(map(files.printable, sorted(names)[:MAX_NAMES_IN_ERROR]))
+    return ", ".join(map(printable, sorted(names)[:MAX_NAMES_IN_ERROR]))
 
 
 THING_KEYS = ("track_id", "instance_id", "object_id")
-"""By which trackers and annotators tell things of one category apart."""
+"""Keys of the number of an instance of a category."""
 
 
 def open_coco_masks(path: Path, content: Mapping[str, object], request: MaskRequest) -> MaskReader:
-    """Open COCO's annotations; an image without any of the object shows nothing of it. Raises ``InputError``."""
+    """Open COCO's annotations; the object is not visible in images without any. Raises ``InputError``."""
     images, names = check_object_list(path, content, "images"), []
     for k, image in enumerate(images):
         if not isinstance(image.get("file_name"), str) or not isinstance(image.get("id"), int | str):
-            raise InputError(path, f"images[{k}]", files.shorten_value(image), "an id and a file_name")
+            raise InputError(path, f"images[{k}]", shorten_value(image), "an id and a file_name")
         extra = image.get("extra")
         original = extra.get("name") if isinstance(extra, dict) else None  # Roboflow's
         names.append(original if isinstance(original, str) else image["file_name"])
     if len({*names}) < len(names):  # versions of one image
         names = [image["file_name"] for image in images]
     places = request.places(path, names)
-    sizes = {
-        n: read_stated_size(path, f"images[{k}]", images[k], "width", "height", request) for n, k in places.items()
-    }
+    stated = ("width", "height", request)
+    sizes = {n: read_stated_size(path, f"images[{k}]", images[k], *stated) for n, k in places.items()}
     index = {images[k]["id"]: n for n, k in places.items()}
     regions: dict[int, list[Region]] = {n: [] for n in places}
     for key, item, labels in _iter_annotations(path, content, "image_id"):
         if item["image_id"] in index:
             n = index[item["image_id"]]
-            regions[n].append(
-                Region(f"{key}.segmentation", labels, _instance_of(item), item.get("segmentation"), sizes[n])
-            )
+            pixels = item.get("segmentation")
+            regions[n].append(Region(f"{key}.segmentation", labels, _instance_of(item), pixels, sizes[n]))
     return region_masks(path, request, regions)
 
 
 def open_youtube_vis_masks(path: Path, content: Mapping[str, object], request: MaskRequest) -> MaskReader:
-    """Open YouTube-VIS's annotations: a region of each thing for each frame of its video, or null."""
+    """Open YouTube-VIS's annotations: a region of each instance for each frame of its video, or null."""
     names: list[str] = []
     where: list[tuple[object, int]] = []
     for k, video in enumerate(check_object_list(path, content, "videos")):
         of_video = video.get("file_names")
         if not isinstance(video.get("id"), int | str) or not isinstance(of_video, list):
-            raise InputError(path, f"videos[{k}]", files.shorten_value(video), "an id and file_names")
+            raise InputError(path, f"videos[{k}]", shorten_value(video), "an id and file_names")
         if not all(isinstance(name, str) for name in of_video):
-            raise InputError(path, f"videos[{k}].file_names", files.shorten_value(of_video), "names of files")
+            raise InputError(path, f"videos[{k}].file_names", shorten_value(of_video), "names of files")
         names += of_video
         where += [(video["id"], row) for row in range(len(of_video))]
     index = {where[k]: n for n, k in request.places(path, names).items()}
@@ -421,9 +395,7 @@ def open_youtube_vis_masks(path: Path, content: Mapping[str, object], request: M
     for key, item, labels in _iter_annotations(path, content, "video_id"):
         listed = item.get("segmentations")
         if not isinstance(listed, list):
-            raise InputError(
-                path, f"{key}.segmentations", files.shorten_value(listed), "a region for each frame, or null"
-            )
+            raise InputError(path, f"{key}.segmentations", shorten_value(listed), "a region for each frame, or null")
         for row, one in enumerate(listed):
             n = index.get((item["video_id"], row))
             if n is not None and one is not None:
@@ -434,10 +406,10 @@ def open_youtube_vis_masks(path: Path, content: Mapping[str, object], request: M
 def read_stated_size(
     path: Path, key: str, content: Mapping[str, object], width: str, height: str, request: MaskRequest
 ) -> tuple[int, int]:
-    """Return the size that a file states of an image. Raises ``InputError`` for another shape than the clip's."""
+    """Read the size of an image in a file. Raises ``InputError`` for another shape than the clip's."""
     sides = content.get(width), content.get(height)
     if not all(type(side) is int and side > 0 for side in sides):
-        raise InputError(path, key, " x ".join(map(files.shorten_value, sides)), "{} x {}".format(*request.size))
+        raise InputError(path, key, " x ".join(map(shorten_value, sides)), "{} x {}".format(*request.size))
     return request.check_size(path, key, sides)  # type: ignore[arg-type]
 
 
@@ -445,7 +417,7 @@ def check_object_list(path: Path, content: Mapping[str, object], key: str, neede
     """Check a list of JSON objects. Raises ``InputError``."""
     value = content.get(key, None if needed else [])
     if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-        got = "no such key" if key not in content else files.shorten_value(value)
+        got = "no such key" if key not in content else shorten_value(value)
         raise InputError(path, key, got, "a list of objects, as COCO has it")
     return value
 
@@ -453,20 +425,20 @@ def check_object_list(path: Path, content: Mapping[str, object], key: str, neede
 def _iter_annotations(
     path: Path, content: Mapping[str, object], of: str
 ) -> Iterator[tuple[str, files.Json, tuple[str, ...]]]:
-    """Each annotation with its place and its labels: its category's name and id."""
+    """Yield each annotation's position, content and labels: its category's name and id."""
     categories = check_object_list(path, content, "categories", needed=False)
     names = {str(item.get("id")): str(item.get("name")) for item in categories}
     for k, item in enumerate(check_object_list(path, content, "annotations")):
         category = item.get("category_id")
         if not isinstance(item.get(of), int | str) or not isinstance(category, int | str):
             article = "an" if of[0] in "aeiou" else "a"
-            raise InputError(path, f"annotations[{k}]", files.shorten_value(item), f"{article} {of} and a category_id")
+            raise InputError(path, f"annotations[{k}]", shorten_value(item), f"{article} {of} and a category_id")
         label = str(category)
         yield f"annotations[{k}]", item, (names[label], label) if label in names else (label,)
 
 
 def _instance_of(item: Mapping[str, object]) -> str:
-    """Which thing of its category an annotation is of; empty where it does not say."""
+    """Return the instance of an annotation; empty if not stated."""
     attributes = item.get("attributes")
     for value in (item, attributes if isinstance(attributes, dict) else {}):
         for key in THING_KEYS:
@@ -476,26 +448,25 @@ def _instance_of(item: Mapping[str, object]) -> str:
 
 
 SHAPE_POINT_COUNTS = {"polygon": 0, "rotation": 0, "rectangle": 2, "circle": 2, "mask": 2}
-"""Points of LabelMe's and X-AnyLabeling's shapes; 0 for any number."""
-SUPPORTED_SHAPES = f"one of {', '.join(SHAPE_POINT_COUNTS)}; as COCO or as PNG others can be read, too"
+"""Number of points of LabelMe's and X-AnyLabeling's shapes; 0 for any number."""
+SUPPORTED_SHAPES = f"one of {', '.join(SHAPE_POINT_COUNTS)}; other shapes can be exported as COCO or PNG"
 
 
 def open_labelme_masks(source: Path, paths: Sequence[Path], request: MaskRequest) -> MaskReader:
-    """Open LabelMe's shapes, of one thing where they have one ``group_id``. Raises ``InputError``."""
+    """Open LabelMe's shapes; shapes with the same ``group_id`` are one instance. Raises ``InputError``."""
     regions: dict[int, list[Region]] = {}
     for n, k in request.places(source, [path.name for path in paths]).items():
         path = paths[k]
         content = files.read_json(path)
         size = read_stated_size(path, "imageWidth", content, "imageWidth", "imageHeight", request)
         shapes = check_object_list(path, content, "shapes")
-        regions[n] = _group_polygons(
-            [_labelme_region(path, f"shapes[{i}]", item, size) for i, item in enumerate(shapes)]
-        )
+        each = [_labelme_region(path, f"shapes[{i}]", item, size) for i, item in enumerate(shapes)]
+        regions[n] = _group_polygons(each)
     return region_masks(source, request, regions)
 
 
 def _group_polygons(found: Sequence[Region]) -> list[Region]:
-    """Join the polygons of a thing, as an outline and its hole: they have one ``group_id``."""
+    """Join the polygons of an instance, as an outline and its hole, which have the same ``group_id``."""
     groups: dict[tuple[object, ...], list[Region]] = {}
     for k, one in enumerate(found):
         alone = not one.thing or not isinstance(one.content, list)
@@ -512,11 +483,10 @@ def _labelme_region(path: Path, key: str, item: Mapping[str, object], size: tupl
     label, group, kind = item.get("label"), item.get("group_id"), item.get("shape_type", "polygon")
     points = arrays.from_lists(item.get("points"))
     if not isinstance(label, str) or kind not in SHAPE_POINT_COUNTS:
-        raise InputError(
-            path, key, files.shorten_value(kind if isinstance(label, str) else label), f"a label, {SUPPORTED_SHAPES}"
-        )
+        got = shorten_value(kind if isinstance(label, str) else label)
+        raise InputError(path, key, got, f"a label, {SUPPORTED_SHAPES}")
     if points is None or points.dtype.kind not in "fi" or points.ndim != 2 or points.shape[1] != 2:
-        raise InputError(path, f"{key}.points", files.shorten_value(item.get("points")), "[[x, y], ...]")
+        raise InputError(path, f"{key}.points", shorten_value(item.get("points")), "[[x, y], ...]")
     if SHAPE_POINT_COUNTS[kind] not in (0, len(points)) or not np.isfinite(points).all():
         raise InputError(path, f"{key}.points", f"{len(points)} points", f"{SHAPE_POINT_COUNTS[kind]} points")
     content: object = [points.ravel().tolist()]
@@ -533,26 +503,25 @@ def _labelme_region(path: Path, key: str, item: Mapping[str, object], size: tupl
 
 
 def _decode_png(path: Path, key: str, text: object) -> bytes:
-    """Decode a mask's file. Raises ``InputError``."""
     try:
         return base64.b64decode(text if isinstance(text, str) else "-", validate=True)
     except ValueError as error:
-        raise InputError(path, f"{key}.mask", files.shorten_value(text), "a PNG in base64") from error
+        raise InputError(path, f"{key}.mask", shorten_value(text), "a PNG in base64") from error
 
 
 def open_masklets(path: Path, content: Mapping[str, object], request: MaskRequest) -> MaskReader:
-    """Open SA-V's masklets: for each annotated frame of a video the run lengths of each object, chosen by its number.
+    """Open SA-V's masklets: for each annotated frame of a video, the run lengths of each object, chosen by its number.
 
-    Frames count from 0; every fourth is annotated, as the number of the video's frames says. Raises ``InputError``.
+    Frames count from 0; every fourth one is annotated, by the number of the video's frames. Raises ``InputError``.
     """
     listed, count = content.get("masklet"), content.get("video_frame_count")
     if not isinstance(listed, list) or not all(isinstance(of_frame, list) for of_frame in listed) or not listed:
-        raise InputError(path, "masklet", files.shorten_value(listed), "run lengths of each object in each frame")
+        raise InputError(path, "masklet", shorten_value(listed), "run lengths of each object in each frame")
     if not isinstance(count, int | float) or not len(listed) <= count <= 1e6:
-        raise InputError(path, "video_frame_count", files.shorten_value(count), f"at least {len(listed)} frames")
+        raise InputError(path, "video_frame_count", shorten_value(count), f"at least {len(listed)} frames")
     things = content.get("masklet_id")
     if not isinstance(things, list) or not all(len(of_frame) == len(things) for of_frame in listed):
-        raise InputError(path, "masklet_id", files.shorten_value(things), "the number of each object in each frame")
+        raise InputError(path, "masklet_id", shorten_value(things), "the number of each object in each frame")
     each = round(count / len(listed))
     places = request.places(path, [str(each * k) for k in range(len(listed))])
     regions = {
@@ -566,7 +535,7 @@ def open_masklets(path: Path, content: Mapping[str, object], request: MaskReques
 
 
 def open_yolo_masks(source: Path, paths: Sequence[Path], request: MaskRequest) -> MaskReader:
-    """Open YOLO's outlines, a text for each image: lines of a class's number and corners as shares of the sides.
+    """Open YOLO's outlines, a text for each image: lines of a class's number, and corners as fractions of the sides.
 
     Raises ``InputError``.
     """
@@ -581,7 +550,7 @@ def open_yolo_masks(source: Path, paths: Sequence[Path], request: MaskRequest) -
                 corners = np.zeros((0, 2))
             if words and (len(corners) < 3 or not np.isfinite(corners).all()):
                 expected = "a class and at least three corners, x y x y x y; boxes are no masks"
-                raise InputError(paths[k], f"line {row}", files.shorten_value(line), expected)
+                raise InputError(paths[k], f"line {row}", shorten_value(line), expected)
             if words:
                 regions[n].append(Region(f"line {row}", (words[0],), "", [corners.ravel().tolist()], path=paths[k]))
     return region_masks(source, request, regions)

@@ -1,9 +1,7 @@
-"""Masks that are looked for in other programs' files: in which frames, of which labels; and their reader.
+"""Requests for masks, by frames and labels; the masks' reader; and labels of images.
 
-The object, and what hides it, by the labels of images.
-
-Images are PNG: grey (1 to 16 bit), with a palette as SAM 2 and VOS benchmarks write them, or colour-coded. With alpha,
-what is transparent is background.
+Images of labels are PNG: grey (1 to 16 bit), with a palette (SAM 2, VOS benchmarks), or colour-coded. Transparent
+pixels are background.
 """
 
 from __future__ import annotations
@@ -28,12 +26,13 @@ from getagrip.clip.match_frames import (
 )
 from getagrip.clip.read_arrays import check_shape
 from getagrip.errors import InputError, UsageError
-from getagrip.io import arrays, files
+from getagrip.io import arrays
+from getagrip.io.files import printable
 from getagrip.io.images import open_png
 
 RESIZED_MASKS_NOTE = "masks of {} x {} pixels were resized to {} x {}, in images"
 MASK_ASPECT_TOLERANCE = 0.02
-"""Largest difference of a mask's shape from that of the images: sides are whole numbers."""
+"""Maximum relative difference of the aspect ratios of masks and images, for sides rounded to whole numbers."""
 MAX_MASK_PIXELS = 40_000_000
 
 
@@ -48,20 +47,20 @@ def combine_hand_object_masks(
 
 @dataclass(frozen=True)
 class MaskReader:
-    """The masks of a frame, by its index; None for a frame that has none. Calling it raises ``InputError``."""
+    """A function that reads the masks of a frame, by its index; None for frames without. Raises ``InputError``."""
 
     source: Path
     read: Callable[[int], FrameMasks]
     known: Collection[int]
-    """The frames that have masks."""
+    """The frames with masks."""
     others: set[str] = field(default_factory=set)
-    """Labels that were met so far in frames without the object, for an error about a label that is nowhere."""
+    """Labels found so far in frames without the object, for errors about a missing label."""
     unmet: set[str] = field(default_factory=set)
-    """Labels that were named, with their options, and not met so far."""
+    """Named labels, with their options, not found so far."""
     notes: dict[str, int] = field(default_factory=dict)
-    """Notes on how unusual content was read, with counts."""
+    """Notes on unusual content, with counts."""
     warnings: tuple[str, ...] = ()
-    """Warnings about content that is probably not what was meant."""
+    """Warnings about probably unintended content."""
 
     def __call__(self, n: int) -> FrameMasks | None:
         with arrays.convert_to_input_errors(self.source):
@@ -77,25 +76,24 @@ class MaskRequest:
     size: tuple[int, int]
     """Width and height of the images [px]."""
     object: tuple[str, ...] = ()
-    """Labels of the object; where none is named, there may be one only."""
+    """Labels of the object; empty if the files have one label only."""
     ignore: tuple[str, ...] = ()
-    """Labels of what hides it."""
+    """Labels of occluders."""
     hand: tuple[str, ...] = ()
-    """Those of the things that are the grasping hand; it need not be among the others."""
+    """Labels of the grasping hand, which need not be among the occluders."""
     ask_first: str = ""
-    """The option that states the number of the first frame's mask, where it was not used."""
+    """The option for the number of the first frame's mask; empty if used."""
     counted: bool = False
-    """True if it was used: frames are numbered as the masks' files count them."""
+    """True if the option was used: frames are numbered as the masks' files count them."""
     images: str = ""
-    """Which of the images are meant, where there are several of a frame: a folder, or a pattern of their names."""
+    """Folder or name pattern that selects among several images of a frame."""
     ask_images: str = "--images"
-    """The option that says so."""
-
+    """The option for ``images``."""
     stretched: bool = False
-    """True if masks of another shape than the images are these images', stretched."""
+    """True to take masks of another shape than the images as stretched."""
 
     def check_size(self, path: Path, key: str, size: tuple[int, int]) -> tuple[int, int]:
-        """Return the width and height of a mask. Raises ``InputError`` for another shape than the images have."""
+        """Return the width and height of a mask. Raises ``InputError`` for another shape than the images'."""
         if min(size) > 0 and size[0] * size[1] > MAX_MASK_PIXELS:
             raise InputError(path, key, f"{size[0]} x {size[1]} pixels", f"at most {MAX_MASK_PIXELS} pixels")
         if not self.stretched or min(size) < 1:
@@ -107,7 +105,7 @@ class MaskRequest:
         return size
 
     def resized(self, labels: Integer[ndarray, "h w"] | Bool[ndarray, "h w"], notes: Counter[str]) -> ndarray:
-        """Return a mask or labels at the images' size: of each pixel the nearest one's."""
+        """Return a mask or labels at the images' size, by nearest pixels."""
         (width, height), (h, w) = self.size, labels.shape
         if (w, h) == self.size:
             return labels
@@ -116,14 +114,14 @@ class MaskRequest:
         return np.ascontiguousarray(labels[rows[:, None], columns])
 
     def check_numbers(self, source: Path, names: Iterable[str]) -> None:
-        """Raise ``UsageError`` where masks seem to be counted from another start than frames."""
+        """Raise ``UsageError`` for masks apparently counted from another start than frames."""
         check_frame_numbers(self.frames, names, source, "mask", self.ask_first)
 
     def places(self, source: Path, names: Sequence[str]) -> dict[int, int]:
-        """Match images to frames by their file names, for the frames that have one.
+        """Match images to frames by file names; return the image's row by frame.
 
-        Raises ``UsageError`` where they seem to be counted from another start, and ``InputError`` where a frame has
-        two, or none has one.
+        Raises ``UsageError`` for images apparently counted from another start, ``InputError`` for two images of a
+        frame, and without any image.
         """
         self.check_numbers(source, [stem_of(names[row]) for row in matching_names(names, self.images)])
         rows = rows_of_frames(names, self.frames, source, "mask", self.images, self.ask_images)
@@ -132,26 +130,26 @@ class MaskRequest:
         return rows
 
     def in_order(self, source: Path, count: int) -> dict[int, int]:
-        """Match masks without names to frames. Raises ``UsageError`` as ``naming.rows_in_order`` does."""
+        """Match masks without names to frames. Raises ``UsageError`` as ``rows_in_order`` does."""
         return rows_in_order(count, self.frames, source, "mask", self.counted, self.ask_first or "--first")
 
     def nothing(self, source: Path, names: Sequence[str]) -> InputError:
-        """Make the error that there is no mask of any frame."""
-        some = ", ".join(map(files.printable, names[:2])) + (", ..." if len(names) > 2 else "")
+        """Make the error for files without a mask of any frame."""
+        some = ", ".join(map(printable, names[:2])) + (", ..." if len(names) > 2 else "")
         got = f"no mask of any of {len(self.frames)} frames" + (f" among {some}" if names else "")
-        return InputError(source, "", got, f"masks named like the frames, as {files.printable(self.frames[0])}")
+        return InputError(source, "", got, f"masks named like the frames, as {printable(self.frames[0])}")
 
 
 ALPHA_NOTE = "the alpha channel was used as the mask, in images"
 MAX_LABEL_COLOURS = 64
-"""Most colours of an image of labels; an image with more is a photograph, cut out."""
+"""Maximum number of colours of an image of labels; an image with more is a cut-out photograph."""
 
 
 class LabelChoice:
-    """Picks the object and what hides it from labels."""
+    """A function that splits an image of labels into the masks of object, occluders and hand."""
 
     def __init__(self, request: MaskRequest) -> None:
-        """Parse the labels; raise ``UsageError`` for an unknown form."""
+        """Parse the named labels. Raises ``UsageError``."""
         self.object = [parse_label(text, "--object") for text in request.object]
         self.ignore = [parse_label(text, "--ignore") for text in request.ignore]
         self.hand = [parse_label(text, "--hand") for text in request.hand]
@@ -161,13 +159,12 @@ class LabelChoice:
         self.unmet = {f"{option} {text}" for option, texts in named.items() for text in texts}
 
     def _meet(self, labels: Int[ndarray, "H W"]) -> None:
-        """Note which of the labels that are named are in an image."""
         for named in list(self.unmet):
             if (labels == parse_label(named.split(" ", 1)[1], named)).any():
                 self.unmet.discard(named)
 
     def __call__(self, path: Path, labels: Int[ndarray, "H W"]) -> FrameMasks:
-        """Split an image into masks; raise ``InputError`` where no label is named and there are several."""
+        """Split an image of labels into masks. Raises ``InputError`` for several labels without a named one."""
         self._meet(labels)
         ignored = np.isin(labels, [*self.ignore, *self.hand])
         hand = np.isin(labels, self.hand) if self.hand else None
@@ -192,9 +189,9 @@ def label_name(label: int) -> str:
 def read_label_image(path: Path, size: tuple[int, int], notes: Counter[str] | None = None) -> Int[ndarray, "H W"]:
     """Read the label of each pixel: a grey value, an index into the palette, or a colour as 0xRRGGBB.
 
-    Where alpha varies, what is transparent has the label 0, and what is not has its colour's; its alpha counts alone
-    where that is one colour, or too many for labels. ``notes`` counts the images in which it does. Sizes are checked
-    before memory is taken. Raises ``InputError``.
+    With varying alpha, transparent pixels have the label 0 and opaque ones their colour's; with one colour, or too many
+    colours for labels, alpha alone is the mask, counted in ``notes``. Sizes are checked before memory is taken. Raises
+    ``InputError``.
     """
     image, colours, bits = open_png(path, size)
     if (colours == "grey and alpha" or colours.startswith("RGB")) and bits > 8:
@@ -211,7 +208,7 @@ def read_label_image(path: Path, size: tuple[int, int], notes: Counter[str] | No
 
 
 def _opaque_labels(labels: Int[ndarray, "H W"], alpha: Int[ndarray, "H W"], notes: Counter[str]) -> Int[ndarray, "H W"]:
-    """Return the labels of opaque pixels, by half of the largest alpha or more; 0 elsewhere."""
+    """Return the labels of opaque pixels, with at least half of the maximum alpha; 0 in other pixels."""
     there = np.unique(labels)
     if alpha.min() == alpha.max():
         hidden = alpha.max() == 0 and (there.size == 1 or there.size > MAX_LABEL_COLOURS)

@@ -1,17 +1,17 @@
-"""Masks from files of other programs, one frame at a time: PNG folders, arrays, regions in JSON.
+"""Masks from other programs' files, one frame at a time: ``open_masks``.
 
-- a folder of folders, one for each thing (``object/`` and perhaps ``ignore/`` and ``hand/``, or any others, chosen by
-  their names): one PNG for each frame, non-zero where the mask is set;
-- a folder of PNG: the labels of an image each (``label_choice``), or a mask each where there is one label only; or of
-  ``.npy`` or ``.npz`` (``array_masks``), or of LabelMe's ``.json`` (``json_masks``);
+- A folder of folders, one for each object (``object/`` and optionally ``ignore/`` and ``hand/``, or others, chosen by
+  name): one PNG for each frame, non-zero in the mask.
+- A folder of PNG: an image of labels each (``mask_request``), or a mask each with one label only; or of ``.npy`` or
+  ``.npz`` (``mask_arrays``), or of LabelMe's ``.json`` (``mask_regions``).
 - ``.json``: COCO's ``images``, ``annotations`` (polygons or run lengths) and ``categories``, YouTube-VIS's ``videos``
-  and SA-V's ``masklet`` (``json_masks``);
-- ``.pkl`` or ``.npy``: SAM 2's ``open_video_segments`` (``array_masks``);
-- ``.npz`` or ``.npy``: ``object`` (T, H, W) and perhaps ``ignore`` and ``hand``, or ``labels`` (T, H, W) of whole
-  numbers; ``frames`` (T,) names or numbers of them, or all of the wanted ones in order; or an array for each frame.
+  and SA-V's ``masklet`` (``mask_regions``).
+- ``.pkl`` or ``.npy``: SAM 2's ``video_segments`` (``mask_arrays``).
+- ``.npz`` or ``.npy``: ``object`` (T, H, W) and optionally ``ignore`` and ``hand``, or ``labels`` (T, H, W) of whole
+  numbers; ``frames`` (T,), their names or numbers, or all requested frames in order; or an array for each frame.
 
-Which labels are the object, which hide it (hands, other things in front), and which of these the hand that holds it, is
-chosen by value: a number, a colour as #rrggbb, a folder's or a category's name. Frames may have no mask.
+The labels of the object, of occluders, and of the grasping hand among them are chosen by value: a number, a colour as
+#rrggbb, a folder's or a category's name. Frames may lack masks.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from getagrip.clip.clip import FrameMasks
 from getagrip.clip.match_frames import MAX_NAMES_IN_ERROR
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays, files
+from getagrip.io.files import printable
 from getagrip.io.images import png_size
 from getagrip.readers.masks.mask_arrays import (
     Load,
@@ -59,20 +60,17 @@ from getagrip.readers.masks.mask_request import (
 
 LOSSY_IMAGE_SUFFIXES = {".jpg", ".jpeg", ".webp"}
 CVAT_MASK_FOLDER, CVAT_LABEL_FILE = "SegmentationClass", "labelmap.txt"
-"""Folder of images of labels, and names and colours of these, in CVAT's export "Segmentation mask"."""
+"""Folder of images of labels, and file of their names and colours, in CVAT's export "Segmentation mask"."""
 CONVERSION_HINTS = {
-    ".mp4 .mov .mkv .avi .webm": "; of a video of masks: mkdir masks && ffmpeg -i VIDEO masks/%06d.png",
+    ".mp4 .mov .mkv .avi .webm": "; for a video of masks: mkdir masks && ffmpeg -i VIDEO masks/%06d.png",
     ".xml": "; CVAT exports them as COCO 1.0 or Segmentation mask 1.1, too",
     ".txt": "; name the folder of YOLO's texts",
 }
-"""Ways to convert files that are not read, by their suffixes."""
+"""Conversions of unsupported files, by their suffixes."""
 
 
 def open_masks(path: Path, request: MaskRequest) -> MaskReader:
-    """Open a reader of the masks of some frames.
-
-    Raises ``InputError`` where there are none, ``UsageError`` for labels.
-    """
+    """Open the masks of the requested frames. Raises ``InputError`` without masks, ``UsageError`` for labels."""
     with arrays.convert_to_input_errors(path):
         return _open_masks_by_format(path, request)
 
@@ -81,9 +79,8 @@ def _open_masks_by_format(path: Path, request: MaskRequest) -> MaskReader:
     if path.is_dir():
         return _open_mask_folder(path, request)
     if path.suffix in {".pkl", ".pickle", ".npy"} and path.is_file():
-        return (open_npy_masks if path.suffix == ".npy" and not holds_objects(path) else open_video_segments)(
-            path, request
-        )
+        is_array = path.suffix == ".npy" and not holds_objects(path)
+        return (open_npy_masks if is_array else open_video_segments)(path, request)
     if path.suffix == ".npz":
         return open_npz_masks(path, request)
     if path.suffix == ".json":
@@ -92,16 +89,14 @@ def _open_masks_by_format(path: Path, request: MaskRequest) -> MaskReader:
             return open_masklets(path, content, request)
         if "shapes" in content:
             return open_labelme_masks(path, [path], request)
-        return (open_youtube_vis_masks if "videos" in content and "images" not in content else open_coco_masks)(
-            path, content, request
-        )
+        is_youtube_vis = "videos" in content and "images" not in content
+        return (open_youtube_vis_masks if is_youtube_vis else open_coco_masks)(path, content, request)
     got = "no folder, .json, .npz, .pkl or .npy" if path.exists() else "no such file or folder"
     convert = next((text for suffixes, text in CONVERSION_HINTS.items() if path.suffix.lower() in suffixes.split()), "")
     raise InputError(path, "", got, f"masks: a folder of PNG, COCO's JSON, arrays, or SAM 2's video_segments{convert}")
 
 
 def _open_mask_folder(folder: Path, request: MaskRequest) -> MaskReader:
-    """Open a folder of things, or of files of one frame each."""
     things = [sub.name for sub in files.folders_in(folder) if files.list_files(sub, (".png",))]
     images = {suffix: files.list_files(folder, (suffix,)) for suffix in (".png", ".npy", ".npz", ".json", ".txt")}
     if CVAT_MASK_FOLDER in things and (folder / CVAT_LABEL_FILE).is_file():
@@ -115,21 +110,18 @@ def _open_mask_folder(folder: Path, request: MaskRequest) -> MaskReader:
     if images[".json"]:
         return open_labelme_masks(folder, images[".json"], request)
     if images[".txt"]:
-        return open_yolo_masks(
-            folder, [path for path in images[".txt"] if path.stem not in ("classes", "labels")], request
-        )
+        texts = [path for path in images[".txt"] if path.stem not in ("classes", "labels")]
+        return open_yolo_masks(folder, texts, request)
     other = next((path.name for path in files.list_files(folder, LOSSY_IMAGE_SUFFIXES)), None)
     got = f"no mask of any of {len(request.frames)} frames"
-    got += f"; {files.printable(other)} is no PNG, and has no labels" if other else ""
-    raise InputError(
-        folder, "", got, f"a PNG for each frame, named like it, as {files.printable(request.frames[0])}.png"
-    )
+    got += f"; {printable(other)} is no PNG, and has no labels" if other else ""
+    raise InputError(folder, "", got, f"a PNG for each frame, named like it, as {printable(request.frames[0])}.png")
 
 
 def _open_object_folders(folder: Path, request: MaskRequest, things: Sequence[str]) -> MaskReader:
-    """Masks of a thing each in folders of their names; a frame is known where each of these has it.
+    """Open a folder of masks for each object, for the frames in all chosen folders.
 
-    An only one need not be named, nor those called ``object``, ``ignore`` and ``hand``.
+    A single folder, and folders called ``object``, ``ignore`` and ``hand``, need not be named.
     """
     chosen = {"object": request.object, "ignore": request.ignore, "hand": request.hand}
     if not any(chosen.values()):
@@ -140,7 +132,7 @@ def _open_object_folders(folder: Path, request: MaskRequest, things: Sequence[st
         wrong = next((name for name in names if name not in things), None)
         if wrong is not None or (kind == "object" and not names):
             which = f"missing --{kind}" if wrong is None else f"unknown --{kind} {wrong!r}"
-            there = ", ".join(files.printable(name) for name in things[:MAX_NAMES_IN_ERROR])
+            there = ", ".join(printable(name) for name in things[:MAX_NAMES_IN_ERROR])
             raise UsageError(f"{which}; choose from the folders in {folder}: {there}")
     notes = Counter[str]()
     images = {
@@ -167,7 +159,7 @@ def _open_object_folders(folder: Path, request: MaskRequest, things: Sequence[st
 
 
 def _open_cvat_masks(folder: Path, request: MaskRequest) -> MaskReader:
-    """Masks as CVAT exports them, whose labels have names. Raises ``UsageError`` for other names."""
+    """Open CVAT's masks, whose labels have names. Raises ``UsageError`` for other names."""
     lines = [
         line.split(":") for line in files.read_text(folder / CVAT_LABEL_FILE).splitlines() if not line.startswith("#")
     ]
@@ -175,15 +167,14 @@ def _open_cvat_masks(folder: Path, request: MaskRequest) -> MaskReader:
     try:
         colours = {name: "#{:02x}{:02x}{:02x}".format(*map(int, value.split(","))) for name, value in values.items()}
     except (ValueError, IndexError) as error:
-        raise InputError(
-            folder / CVAT_LABEL_FILE, "", f"no colours of labels ({error})", "label:red,green,blue::"
-        ) from error
+        got = f"no colours of labels ({error})"
+        raise InputError(folder / CVAT_LABEL_FILE, "", got, "label:red,green,blue::") from error
     names = [name for name, colour in colours.items() if colour != "#000000"]
     chosen = {"object": request.object or tuple(names[:1]), "ignore": request.ignore, "hand": request.hand}
     wrong = next((each for each in chosen.items() if {*each[1]} - {*colours, *colours.values()}), None)
     if wrong is not None or (len(names) > 1 and not request.object) or not names:
         which = "missing --object" if wrong is None else f"unknown --{wrong[0]} {' '.join(wrong[1])}"
-        raise UsageError(f"{which}; choose from the labels of {folder}: {', '.join(map(files.printable, names))}")
+        raise UsageError(f"{which}; choose from the labels of {folder}: {', '.join(map(printable, names))}")
     by_colour = {kind: tuple(colours.get(name, name) for name in texts) for kind, texts in chosen.items()}
     source = folder / CVAT_MASK_FOLDER
     return _open_label_images(source, files.list_files(source, (".png",)), replace(request, **by_colour))  # type: ignore[arg-type]
@@ -204,7 +195,7 @@ def _open_label_images(folder: Path, paths: Sequence[Path], request: MaskRequest
 def _index_label_images(
     folder: Path, request: MaskRequest, notes: Counter[str], paths: Sequence[Path] | None = None
 ) -> tuple[list[int], Load]:
-    """Return the frames that have a PNG, and a loader. Raises ``InputError`` for two of a frame."""
+    """Return the frames with a PNG, and their loader. Raises ``InputError`` for two images of a frame."""
     paths = files.list_files(folder, (".png",)) if paths is None else paths
     rows = request.places(folder, [path.name for path in paths])
 

@@ -1,15 +1,14 @@
-"""Hands from external estimators, as a clip holds them: ``read(files, tracker, request)``.
+"""Hands from trackers' files, as in a clip: ``read_tracked_hands(paths, tracker, request)``.
 
-Every estimator's file becomes ``Estimates``: per frame MANO's parameters of the hand as it is, left or right, before
-the camera that the clip has, or joints. ``hand.track`` makes the surface of them. Each estimator is a ``Tracker`` in a
-file of its own, and a line in ``TRACKERS``: its fields are options of
-``getagrip import hands``. Two things go wrong in this step everywhere, and are done in one place each:
+Every tracker's file becomes ``Estimates``: in each frame, MANO's parameters of a left or right hand before the clip's
+camera, or joints, from which ``read_hands`` makes a surface. Each tracker is a ``Tracker`` in a file of its own and a
+line in ``TRACKERS``; its fields are options of ``getagrip import hands``. Two conversions are common to most trackers:
 
-- **The camera.** Most networks see a square crop, and say where the hand is in it by a scale and a shift (weak
-  perspective). Where that is before the camera depends on the focal length (``WeakPerspective``); guessed focal
-  lengths are reported as guesses.
-- **Left hands.** Most networks know right hands only, and are shown left ones mirrored: their rotations are those of
-  the right hand in the mirrored image (``mirror_rotation``), and the surface is the right one's mirror image.
+- **The camera.** Most networks see a square crop, and give the hand's position in it by a scale and a shift (weak
+  perspective). The position before the camera depends on the focal length (``WeakPerspective``); assumed focal
+  lengths are reported as assumptions.
+- **Left hands.** Most networks are trained on right hands, and see left hands mirrored: their rotations are those of
+  the right hand in the mirrored image (``mirror_rotation``), and the surface is the right hand's mirror image.
 """
 
 from __future__ import annotations
@@ -32,11 +31,7 @@ from getagrip.readers.trackers.joints import Joints, Soma
 from getagrip.readers.trackers.landmarks_2d import Landmarks
 from getagrip.readers.trackers.lerobot_hands import LeRobot
 from getagrip.readers.trackers.mano_parameters import ManoParameters
-from getagrip.readers.trackers.read_hands import (
-    CHOSEN_HANDS_KEY,
-    TrackedHands,
-    read_tracked_hands,
-)
+from getagrip.readers.trackers.read_hands import CHOSEN_HANDS_KEY, TrackedHands, read_tracked_hands
 from getagrip.readers.trackers.records import recognise
 from getagrip.readers.trackers.tracker import Tracker
 from getagrip.readers.trackers.v2d import V2D
@@ -76,20 +71,17 @@ def _is_tracker(name: str, it: object) -> bool:
     return isinstance(it, Tracker) and name.isidentifier() and not iskeyword(name)
 
 
-TRACKERS = PluginTable(
-    "trackers", _BUILTIN_TRACKERS, "a Tracker, under a name that is a Python identifier", _is_tracker
-)
+TRACKERS = PluginTable("trackers", _BUILTIN_TRACKERS, "a Tracker, its name a Python identifier", _is_tracker)
 
 
 def usable(taken: Iterable[str] = ()) -> dict[str, Tracker]:
-    """Return all trackers that can be loaded, except those of other packages whose options are already ``taken``."""
+    """Return all loadable trackers, except for plug-ins with an option that is already ``taken``."""
     owners, there = dict.fromkeys(taken, "import hands"), dict[str, Tracker]()
     for name, tracker in TRACKERS.working().items():
         options = vars(tracker)
         if name not in _BUILTIN_TRACKERS and (both := next((one for one in options if one in owners), None)):
-            plugins.warn_once(
-                f"{plugins.plugin_of(tracker) or name} is left out: {owners[both]} has an option {both!r}, too"
-            )
+            plugin = plugins.plugin_of(tracker) or name
+            plugins.warn_once(f"{plugin} is left out: {owners[both]} has an option {both!r}, too")
             continue
         there[name] = tracker
         owners |= dict.fromkeys(options, f"the tracker {name}")

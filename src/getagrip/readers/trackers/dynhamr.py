@@ -2,8 +2,8 @@
 
 ``root_orient`` (B, T, 3), ``pose_body`` (B, T, 15, 3), ``betas`` (B, 10), ``trans`` (B, T, 3) [m], ``is_right``
 (B, T); ``cam_R`` (B, T, 3, 3) and ``cam_t`` (B, T, 3), world to camera; ``intrins`` (fx, fy, cx, cy) [px]. A left hand
-is MANO's right one, moved, then mirrored in x. Every frame of a track has a hand: which ones were filled in is in no
-such file. The layout is that of its published code and of NVIDIA's reader of it.
+is MANO's right hand, moved, then mirrored in x. Every frame of a track has a hand; files do not mark interpolated
+hands. The layout is that of Dyn-HaMR's published code and of NVIDIA's reader.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from getagrip.readers.trackers.tracker import Tracker, frames_of_images, only_fi
 
 @dataclass(frozen=True)
 class DynHaMR(Tracker):
-    """Dyn-HaMR's hands in a world, taken before its camera."""
+    """Dyn-HaMR's hands in a world, transformed to its camera."""
 
     name = "Dyn-HaMR"
     takes = "its *_world_results.npz"
@@ -49,7 +49,6 @@ class DynHaMR(Tracker):
         return "Dyn-HaMR's results in the world" if sample.has(*keys) else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hands of the requested side, in those of the images that the clip has."""
         path = only_file(paths[-1:], "hands")  # later numbers in names are later iterations of the fit
         record = records.read_tracker_record(path)
         hands, T = np.shape(record["is_right"]) if np.ndim(record.get("is_right", 0)) == 2 else (0, 0)
@@ -92,16 +91,16 @@ DYNHAMR_SHAPES = {
 def world_to_camera_mano(
     T_cam_world: Float[ndarray, "4 4"], R: Float[ndarray, "3 3"], t: Float[ndarray, "3"], root: Float[ndarray, "3"]
 ) -> tuple[Float[ndarray, "3 3"], Float[ndarray, "3"]]:
-    """Return MANO's global rotation and translation before a camera, of those in a world [m].
+    """Transform MANO's global rotation and translation [m] from a world to a camera.
 
-    MANO turns a hand about its root joint, which is no origin: X_world = R (X - root) + root + t.
+    MANO rotates a hand about its root joint: X_world = R (X - root) + root + t.
     """
     moved = se3.transform(T_cam_world, (root + t)[None])[0]
     return np.asarray(T_cam_world[:3, :3] @ R), np.asarray(moved - root)
 
 
 def mano_root_joint(folder: Path | None, side: Side, betas: Float[ndarray, "10"]) -> Float[ndarray, "3"]:
-    """Return the root joint of MANO's right hand, mirrored for left ones [m]; of the mean hand without MANO's files."""
+    """Return the root joint of MANO's hand [m], the right hand mirrored for left ones; the mean hand without files."""
     model = load_mano(folder, "right")
     root = MANO_WRIST_M if model is None else model.model.with_shape(betas).joints[0]
     return np.asarray(root if side == "right" else root * SIDE_MIRROR)

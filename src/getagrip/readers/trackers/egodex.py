@@ -1,7 +1,7 @@
 """EgoDex's episodes: ``transforms/<joint>`` (N, 4, 4) in ARKit's world [m], with ``transforms/camera``, in HDF5.
 
-The camera's axes are x right, y down, z forward. Its 25 joints of a hand are SOMA's: those of the four fingers begin at
-the wrist's end of the metacarpal bones, which are not used. ``confidences`` are not used, either.
+The camera's axes are x right, y down, z forward. The 25 joints of a hand are SOMA's; the joints at the wrist's end of
+the four metacarpal bones, and ``confidences``, are not used.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from numpy import ndarray
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.model import Side
-from getagrip.io import files, plugins
+from getagrip.io import plugins
+from getagrip.io.files import printable
 from getagrip.provenance import estimated
 from getagrip.readers.trackers.estimates import Estimate, Estimates, Request
 from getagrip.readers.trackers.read_hands import check_before_camera
@@ -33,12 +34,12 @@ if TYPE_CHECKING:
 EGODEX_FINGER_JOINTS = ("Knuckle", "IntermediateBase", "IntermediateTip", "Tip")
 EGODEX_FINGERS = ("Thumb", "IndexFinger", "MiddleFinger", "RingFinger", "LittleFinger")
 EGODEX_JOINTS = ["Hand", *(f"{finger}{part}" for finger in EGODEX_FINGERS for part in EGODEX_FINGER_JOINTS)]
-"""Its names of this package's 21 joints, behind the side."""
+"""EgoDex's names of this package's 21 joints, after the side."""
 MAX_EPISODE_FRAMES = 200_000
 MAX_CHUNK_BYTES = 32 * 2**20
-"""Bytes of a part of an array, unpacked."""
+"""Maximum unpacked size of a chunk of an array."""
 SIZE_PRESERVING_FILTERS = (2, 3)
-"""HDF5's numbers of filters that keep the size: the order of bytes, and a checksum."""
+"""HDF5's numbers of the filters that keep the size: byte order and checksum."""
 EGODEX_DEPTH_SOURCE = estimated("the headset's joints, before its own camera")
 
 
@@ -55,7 +56,6 @@ class EgoDex(Tracker):
         return "an episode of EgoDex" if sample.path.suffix.lower() in (".hdf5", ".h5") else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the joints in those of the episode's frames that the clip has."""
         path = only_file(paths, "joints of an episode")
         joints = read_egodex_joints(path, request.side)
         check_before_camera(path, joints)
@@ -83,17 +83,17 @@ def read_egodex_joints(path: Path, side: Side) -> Float[ndarray, "T 21 3"]:
 
 
 def _read_joint_poses(path: Path, episode: Group, name: str) -> Float[ndarray, "T 4 4"]:
-    """Read a joint's poses: numbers that lie in this file."""
+    """Read a joint's poses, which must be stored in this file."""
     import h5py
 
     key, data = f"transforms/{name}", episode
-    for part in key.split("/"):  # a soft link may lead to one that leads out
+    for part in key.split("/"):  # a soft link may lead to an external one
         if not isinstance(data, h5py.Group) or not isinstance(data.get(part, getlink=True), h5py.HardLink):
             raise InputError(path, key, "no such array", "poses (N, 4, 4)")
         data = data[part]
     shape: tuple[int, ...] = getattr(data, "shape", None) or ()
     if len(shape) != 3 or shape[1:] != (4, 4) or not 0 < shape[0] <= MAX_EPISODE_FRAMES or data.dtype.kind not in "fiu":
-        got = f"{files.printable(str(getattr(data, 'dtype', 'a group')))} of shape {shape}"
+        got = f"{printable(str(getattr(data, 'dtype', 'a group')))} of shape {shape}"
         raise InputError(path, key, got, f"poses (N, 4, 4), numbers, of at most {MAX_EPISODE_FRAMES} frames")
     if data.external or data.is_virtual:
         raise InputError(path, key, "an array of another file", "poses in this file")
@@ -105,7 +105,7 @@ def _read_joint_poses(path: Path, episode: Group, name: str) -> Float[ndarray, "
 
 
 def _check_hdf5_chunks(path: Path, key: str, data: Dataset) -> None:
-    """Raise ``InputError`` for compressed parts that are larger than the array: HDF5 unpacks them whole."""
+    """Raise ``InputError`` for compressed chunks larger than the array: HDF5 unpacks them whole."""
     if data.chunks is None:
         return
     import h5py

@@ -1,9 +1,10 @@
 """EgoHandKit's results: a pickle of MANO's parameters by image, or ``hand_tracking.parquet`` with joints.
 
-``<name>_<backend>.pkl`` holds for each image lists ``mano`` (with ``is_right``), ``cam_trans`` (3) and
-``backend_meta``, in HaMeR's conventions for each of its networks; ``final/results.pkl`` (``egohand.results.v1``) the
-same, as ``hands`` of each of ``frames``. HaWoR's translations are for the focal length ``img_focal`` in
-``backend_meta``, the others' for HaMeR's. The Parquet file holds joints before the camera [m], in OpenPose's order.
+``<name>_<backend>.pkl`` holds, for each image, lists ``mano`` (with ``is_right``), ``cam_trans`` (3) and
+``backend_meta``, in HaMeR's conventions for all networks; ``final/results.pkl`` (``egohand.results.v1``) has the same
+content as ``hands`` of each of ``frames``. HaWoR's translations are for the focal length ``img_focal`` in
+``backend_meta``, the other networks' for HaMeR's. The Parquet file holds joints before the camera [m], in OpenPose's
+order.
 """
 
 from __future__ import annotations
@@ -50,7 +51,6 @@ class EgoHandKit(Tracker):
         return "EgoHandKit's results" if named or sample.has("mano", "cam_trans", "backend_meta") else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hand of the requested side in those of the images that the clip has."""
         path = only_file(paths, "hands")
         if path.suffix.lower() == ".parquet":
             return _read_parquet_joints(path, request)
@@ -76,10 +76,8 @@ def _hamer_records_by_image(path: Path, record: Record) -> dict[str, list[Record
             listed = {str(frame["img_path"]): frame["hands"] for frame in record["frames"]}
             parts = {name: [(one["mano"], one["cam_trans"], one["meta"]) for one in of] for name, of in listed.items()}
         else:
-            parts = {
-                str(name): list(zip(of["mano"], of["cam_trans"], of["backend_meta"], strict=True))
-                for name, of in record.items()
-            }
+            keys = ("mano", "cam_trans", "backend_meta")
+            parts = {str(name): list(zip(*(of[key] for key in keys), strict=True)) for name, of in record.items()}
         for name, hands in parts.items():
             images[name] = []
             for mano, t, meta in hands:

@@ -2,7 +2,7 @@
 
 ``hands_world`` holds for ``left`` and ``right`` ``joints_world`` (T, 21, 3) in OpenPose's order, NaN without a hand,
 and ``infilled`` (T); ``camera_trajectory`` (T, 4, 4) is camera to world, ``intrinsics`` (T, 3, 3) or (3, 3) [px] are
-its own guess. MANO's parameters beside the joints are smoothed apart from them, and not read.
+ego-vision's assumption. MANO's parameters are smoothed independently of the joints, and not read.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from getagrip.readers.trackers.tracker import Tracker, frames_of_images, only_fi
 
 @dataclass(frozen=True)
 class EgoVision(Tracker):
-    """ego-vision's joints in a world, taken before its camera."""
+    """ego-vision's joints in a world, transformed to its camera."""
 
     name = "ego-vision"
     takes = "its result (JSON)"
@@ -38,7 +38,6 @@ class EgoVision(Tracker):
         return "ego-vision's result" if sample.has("hands_world", "camera_trajectory", "joints_world") else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the joints of the requested side, in those of the video's frames that the clip has."""
         path = only_file(paths, "hands")
         record = records.read_tracker_record(path)
         T_world_cam = record_numbers(path, record, "camera_trajectory", (-1, 4, 4))
@@ -66,7 +65,7 @@ class EgoVision(Tracker):
 
 
 def _read_egovision_joints(path: Path, hand: records.Record, frames: int) -> tuple[ndarray, Float[ndarray, "N 21 3"]]:
-    """Return in which frames there is a hand, and its joints in these [m]. Raises ``InputError``."""
+    """Return the mask of frames with a hand, and the joints in these frames [m]. Raises ``InputError``."""
     value = arrays.from_lists(records.without_none(hand.get("joints_world", [])))
     if value is None or value.dtype.kind not in "fiu" or value.shape != (frames, 21, 3):
         got = "no numbers" if value is None else f"the shape {value.shape}"

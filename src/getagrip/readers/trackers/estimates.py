@@ -1,13 +1,13 @@
-"""An estimator's output for one hand, in this package's conventions; its crop's camera, as the whole image's.
+"""Hand estimates in this package's conventions, with the weak-perspective camera of a crop as one of the whole image.
 
-A network that is given a crop of side b [px] about (cx, cy) predicts (s, tx, ty): a point X of its hand projects to
+For a crop of side b [px] about (cx, cy), a network predicts (s, tx, ty): a point X of the hand projects to
 
     (u, v) = (cx, cy) + (b s / 2) (X + tx, Y + ty):
 
-``b s / 2`` pixels to the metre, its origin at ``(cx, cy) + (b s / 2) (tx, ty)``. A pinhole of focal length f sees as
-many pixels to the metre at the depth z = f / (b s / 2), which is what HaMeR's ``cam_crop_to_full`` computes (the
-notation is SPIN's and CLIFF's). Whatever focal length an estimator has assumed, its pixels to the metre and the place
-of its origin in the image are what it observed; depth follows from them and the real focal length.
+``b s / 2`` pixels per metre, the origin at ``(cx, cy) + (b s / 2) (tx, ty)``. A pinhole of focal length f has the same
+number of pixels per metre at the depth z = f / (b s / 2), as in HaMeR's ``cam_crop_to_full`` (notation: SPIN and
+CLIFF). Whatever focal length an estimator assumes, it observes the pixels per metre and the origin in the image; the
+depth follows from these and the real focal length.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from getagrip.provenance import Source
 
 ONE_CAMERA_NOTE = "one camera determines neither the size nor the depth of a hand"
 ROTATION_MATRIX_TOLERANCE = 0.05
-"""Entries of a matrix so far from the nearest rotation's are no rounding."""
+"""Maximum difference of a matrix's entries from the nearest rotation's that rounding explains."""
+OPPOSITE_SIDE: dict[Side, Side] = {"left": "right", "right": "left"}
 HAMER_FOCAL, HAMER_CROP = 5000.0, 256.0
 """HaMeR's and WiLoR's demos assume a focal length of 5000 / 256 times the larger side of the image [px]."""
 
@@ -48,7 +49,7 @@ class Camera(NamedTuple):
 
 @dataclass(frozen=True)
 class Request:
-    """The hand that is asked for: which one, in which frames, before which camera.
+    """A request for a hand: its side, the frames, and the clip's camera.
 
     Attributes:
         side: ``left`` or ``right`` hand.
@@ -56,10 +57,10 @@ class Request:
         K: (T, 3, 3) the clip's intrinsics in each of them [px].
         size: width and height of the clip's images [px].
         mano: folder of the user's MANO files.
-        ask_first: the option that states the number of the first frame's hand; empty where it was used.
-        counted: True if it was used: frames are numbered as the hands' files count them.
-        hand_masks: the image of the hand's mask in each frame, None where a frame has none; empty where no frame has.
-        times: (T,) the times of the frames [s]; None where they are not known.
+        ask_first: the option for the number of the first frame's hand; empty if used.
+        counted: True if the option was used: frames are numbered as the hands' files count them.
+        hand_masks: the file of the hand mask in each frame, None in frames without; empty without hand masks.
+        times: (T,) the times of the frames [s]; None where unknown.
     """
 
     side: Side
@@ -73,7 +74,7 @@ class Request:
     times: Float[ndarray, "T"] | None = None
 
     def check_numbers(self, source: Path, names: Iterable[str]) -> None:
-        """Raise ``UsageError`` where hands seem to be counted from another start than frames."""
+        """Raise ``UsageError`` for hands apparently counted from another start than frames."""
         check_frame_numbers(self.frames, names, source, "hand", self.ask_first)
 
     def camera(self, frame: int) -> Camera:
@@ -82,13 +83,13 @@ class Request:
 
 
 class HandParameters(NamedTuple):
-    """MANO's parameters of a hand as it is: rotations of a left hand are those of the left hand.
+    """MANO's parameters of a hand; rotations of a left hand are not mirrored.
 
     Attributes:
         R: (3, 3) global rotation, hand to camera.
         pose: (45,) rotation vectors of the fingers, relative to the flat hand [rad].
         betas: (10,) shape.
-        t: (3,) translation before the clip's camera [m]: the hand is turned about its root joint, then moved by it.
+        t: (3,) translation before the clip's camera [m], after the rotation about the hand's root joint.
     """
 
     R: Float[ndarray, "3 3"]
@@ -101,15 +102,14 @@ class Estimate(NamedTuple):
     """A hand in one frame: MANO's parameters, joints, or both.
 
     Attributes:
-        path: the file that holds it.
-        frame: index of the frame among those of the ``Request``.
-        depth: where its depth comes from.
-        mano: MANO's parameters; None where the tracker gives joints only.
-        joints: (21, 3) the 21 joints, where the estimator gives them, before the clip's camera [m]; this package's
-            order.
-        vertices: (778, 3) the surface where it is not that of ``mano.betas``: ``mano.t`` is then where the origin of
-            these is, their mean counts.
-        seen: (21, 3) the joints as seen in the clip's image [px] and their confidence, where the estimator gives them.
+        path: the hand's file.
+        frame: index of the frame among the frames of the ``Request``.
+        depth: source of the depth.
+        mano: MANO's parameters; None for trackers of joints only.
+        joints: (21, 3) the joints before the clip's camera [m], in this package's order; None where not estimated.
+        vertices: (778, 3) the surface where ``mano.betas`` does not give it: ``mano.t`` is then the position of its
+            origin, and the hand is moved to the mean of the vertices.
+        seen: (21, 3) the joints in the clip's image [px] and their confidence; None where not estimated.
     """
 
     path: Path
@@ -128,12 +128,11 @@ class Estimates:
     Attributes:
         side: ``left`` or ``right`` hand.
         hands: the hand in each frame in which it was found.
-        left_model: the surface of a left hand: MANO's right one mirrored, as networks have it that know right hands
-            only, or the left one's own.
-        scale: where the size comes from, in words; empty where it is that of the shape parameters or of the generic
-            hand.
-        scale_assumed: True where nothing tells the size of the hand.
-        warning: possible error, in words; empty where there is none.
+        left_model: the surface of a left hand: MANO's right hand mirrored, for networks trained on right hands, or
+            MANO's own left hand.
+        scale: source of the size, in words; empty for the size of the shape parameters or of the generic hand.
+        scale_assumed: True where the hand's size is unknown.
+        warning: a possible error, in words; empty without one.
     """
 
     side: Side
@@ -147,7 +146,7 @@ class Estimates:
 def to_rotation_matrices(path: Path, key: str, values: Float[ndarray, "... 3"], axes: int) -> Float[ndarray, "... 3 3"]:
     """Convert rotation vectors [rad] (..., 3), or rounded matrices, to rotation matrices (..., 3, 3).
 
-    ``axes`` is the number of leading axes: three vectors are no matrix. Raises ``InputError`` for other matrices.
+    ``axes`` is the number of leading axes, which tells three vectors from a matrix. Raises ``InputError``.
     """
     if values.ndim == axes + 1:
         return se3.exp_so3(values)
@@ -172,36 +171,36 @@ class WeakPerspective(NamedTuple):
 
     @staticmethod
     def of_crop(centre: Float[ndarray, "2"], side: float, cam: Float[ndarray, "3"]) -> WeakPerspective:
-        """Make it from a crop's middle and side [px], and the camera (s, tx, ty) in it."""
+        """Convert the camera (s, tx, ty) of a crop with a centre and a side [px]."""
         scale = side * cam[0] / 2.0
         return WeakPerspective(centre + scale * cam[1:], float(scale))
 
     @staticmethod
     def of_translation(t: Float[ndarray, "3"], focal: float, centre: Float[ndarray, "2"]) -> WeakPerspective:
-        """Make it from a translation [m] before a pinhole with a focal length and a principal point [px]."""
+        """Convert a translation [m] before a pinhole with a focal length and a principal point [px]."""
         return WeakPerspective(centre + focal * t[:2] / t[2], focal / float(t[2]))
 
     def resized(self, zoom: Float[ndarray, "2"]) -> WeakPerspective:
-        """Return it in an image ``zoom`` times as wide and as high."""
+        """Return the camera in an image ``zoom`` times as wide and as high."""
         return WeakPerspective(self.origin * zoom, self.pixels_per_metre * float(zoom[0]))
 
     def before(self, camera: Camera) -> Float[ndarray, "3"]:
-        """Return the translation [m] that shows the hand's origin there, and at fx / z pixels to the metre."""
+        """Return the translation [m] with the same projection of the origin and the same pixels per metre, fx / z."""
         K = camera.K
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a hand that is too far is refused later
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # hands too far away are refused later
             z = K[0, 0] / self.pixels_per_metre
             return np.array([*(z * (self.origin - K[:2, 2]) / K[[0, 1], [0, 1]]), z])
 
 
 def hamer_focal(size: tuple[int, int]) -> float:
-    """Return the focal length that HaMeR's and WiLoR's demos assume of an image [px]."""
+    """Return the focal length that HaMeR's and WiLoR's demos assume for an image [px]."""
     return HAMER_FOCAL / HAMER_CROP * max(size)
 
 
 def vitdet_side(box: Float[ndarray, "2"], rescale: float) -> float:
-    """Return the side [px] of the crop that HaMeR takes of a box of some width and height.
+    """Return the side [px] of HaMeR's crop of a box: ``rescale`` times as large, and high enough for 192 : 256.
 
-    ``rescale`` times as large, and high enough for 192 : 256 (``expand_to_aspect_ratio``).
+    The function ``expand_to_aspect_ratio`` of HaMeR's code.
     """
     width, height = rescale * box
     return float(max(height, width * 256.0 / 192.0))

@@ -2,15 +2,15 @@
 
 A list ``pred_output_list`` of people, each with ``left_hand`` and ``right_hand``: ``pred_camera`` (s, tx, ty) in a crop
 of 224 px, which is ``bbox_scale_ratio`` times as large as in the image and has its corner at ``bbox_top_left``;
-``pred_hand_pose`` (48) as rotation vectors, the global one first, the fingers' relative to MANO's mean pose (its model
-is SMPL-X with ``flat_hand_mean=False``); and, where it was run with ``--save_mesh``, ``pred_vertices_smpl`` (778, 3),
-turned, about an origin of its own. A hand that was not found is an empty dictionary, or None. A vertex X projects to
-(``convert_smpl_to_bbox``, ``convert_bbox_to_oriIm``)
+``pred_hand_pose`` (48) as rotation vectors, the global one first, the fingers' relative to MANO's mean pose (SMPL-X
+with ``flat_hand_mean=False``); and, with ``--save_mesh``, ``pred_vertices_smpl`` (778, 3), rotated, about an origin of
+their own. A missing hand is an empty dictionary, or None. A vertex X projects to (``convert_smpl_to_bbox``,
+``convert_bbox_to_oriIm``)
 
     (u, v) = bbox_top_left + (112 / ratio) (1 + s (X + tx, Y + ty)).
 
-FrankMocap turns left hands back itself. Its ``pred_hand_betas`` are a body's (SMPL-X), no shape of MANO's, and not
-used: the hand keeps the mean shape, and is put where the mean of FrankMocap's vertices is.
+Left hands are not mirrored. ``pred_hand_betas`` are a body's (SMPL-X), not MANO's, and not used: the hand has the mean
+shape, moved to the mean of FrankMocap's vertices.
 """
 
 from __future__ import annotations
@@ -58,7 +58,6 @@ class FrankMocap(Tracker):
         return "FrankMocap's prediction results" if "pred_output_list" in sample.keys else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hand of the requested side in the results of the clip's frames."""
         mean = read_mean_pose(request.mano, request.side)
         found = []
         for path, frame, record in per_image(paths, request):
@@ -82,19 +81,19 @@ def select_frankmocap_side(path: Path, record: Record, side: Side) -> list[Recor
 
 
 def read_mean_pose(folder: Path | None, side: Side) -> Float[ndarray, "45"]:
-    """Read the pose that FrankMocap's are relative to [rad]; a left hand's is that of a right one in the mirror.
+    """Read MANO's mean pose [rad], the right hand's mirrored for left hands, from the user's MANO file.
 
-    It stands in the user's MANO file. Raises ``InputError``, and ``UsageError`` without a folder.
+    Raises ``InputError``, and ``UsageError`` without a folder.
     """
     model = load_mano(folder, "right")
     if model is None:
-        what = "FrankMocap's poses are relative to the mean pose, which stands in them"
+        what = "FrankMocap's poses are relative to their mean pose"
         raise MissingOptionError(f"missing --mano: the folder of your MANO files: {what}")
     return mirrored_pose(model.mean) if side == "left" else model.mean
 
 
 def frankmocap_estimate(path: Path, frame: int, record: Record, camera: Camera, mean: Float[ndarray, "45"]) -> Estimate:
-    """Convert one record to a hand; ``mean`` is that of ``read_mean_pose``. Raises ``InputError``."""
+    """Convert one record to a hand; ``mean`` is from ``read_mean_pose``. Raises ``InputError``."""
     if "pred_vertices_smpl" not in record:
         raise InputError(path, "pred_vertices_smpl", "no such key", "the key: run FrankMocap with --save_mesh")
     cam = record_numbers(path, record, "pred_camera", (3,))

@@ -1,26 +1,24 @@
-"""HaMeR, and WiLoR, whose records are alike: dictionaries as their demos hold them, one hand or several to a record.
+"""HaMeR's and WiLoR's records: dictionaries from their demos, with one hand or several in a record.
 
-Read are ``global_orient`` (3, 3), ``hand_pose`` (15, 3, 3) and ``betas`` (10), at the top or in ``pred_mano_params``,
-and where the hand is, from the first of these that is there:
+A record has ``global_orient`` (3, 3), ``hand_pose`` (15, 3, 3) and ``betas`` (10), at the top or in
+``pred_mano_params``, and the hand's position, the first of
 
-- ``pred_cam_t_full`` (3) with ``scaled_focal_length`` () (the demo's 5000 / 256 * max(W, H) where it is missing);
+- ``pred_cam_t_full`` (3) with ``scaled_focal_length`` () (by default the demo's 5000 / 256 * max(W, H));
 - ``pred_cam`` (s, tx, ty) with ``box_center`` (2) and ``box_size`` ();
 - ``pred_cam`` with ``box_xyxy`` (4): the detected box, enlarged twice;
-- ``pred_cam`` with ``box_xyxy_456x256`` (4), in an image of 456 x 256: the later code of the paper's authors, whose
-  files hold such a dictionary for each of ``left`` and ``right``.
+- ``pred_cam`` with ``box_xyxy_456x256`` (4), in an image of 456 x 256: the later code of the paper's authors, with a
+  dictionary for each of ``left`` and ``right``.
 
-Boxes and translations are in the pixels of ``img_size`` (W, H), or of the clip's images where it is missing. ``right``
-(or ``is_right``) is 1 for right hands. Both networks know right hands only: rotations of a left hand are those of a
-right one in the mirrored crop, and are mirrored here; ``pred_cam[1]`` is as both demos leave it, its sign turned
-already. ``wilor_preds`` (WiLoR-mini) and ``hamer_preds`` (hamer-mini) hold left hands' rotations, vectors, turned back
-already.
+Boxes and translations are in pixels of ``img_size`` (W, H), by default of the clip's images. ``right`` (or
+``is_right``) is 1 for right hands. Both networks are trained on right hands: rotations of a left hand are those of a
+right hand in the mirrored crop, and are mirrored here; the sign of ``pred_cam[1]`` is as after both demos. The rotation
+vectors of ``wilor_preds`` (WiLoR-mini) and ``hamer_preds`` (hamer-mini) are mirrored already.
 
-fasthamer's results (``hands``, ``focal``, ``image_size``) and V2D's hand tracks (``mano``, ``camera``) are the same
-under other names.
+fasthamer's results (``hands``, ``focal``, ``image_size``) and V2D's hand tracks (``mano``, ``camera``) have the same
+content under other names.
 
-One file may hold many images, by their paths: a record each, a list of records, or lists ``mano`` of such parameters
-(with ``is_right``) and ``cam_trans`` (3), which is ``pred_cam_t_full``. What the demos themselves save is read by
-``hamer_demo``.
+A file may hold many images, by their paths: a record each, a list of records, or lists ``mano`` of parameters (with
+``is_right``) and ``cam_trans`` (3), which is ``pred_cam_t_full``. ``hamer_demo`` reads the files that the demos save.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ from tyro.conf import arg
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.model import SIDE_MIRROR, Side
-from getagrip.io import files
+from getagrip.io.files import shorten_value
 from getagrip.io.options import one_of
 from getagrip.provenance import Basis, Source
 from getagrip.readers.trackers import hamer_demo
@@ -61,34 +59,33 @@ from getagrip.readers.trackers.tracker import Tracker, per_image
 MINI_OUTPUT_KEYS = ("wilor_preds", "hamer_preds")
 """Keys of the network's output in the records of WiLoR-mini and hamer-mini."""
 BOX_IMAGE_SIZE_PX = (456, 256)
-"""Images in which the later code's boxes are [px]."""
+"""Width and height of the images of the later code's boxes [px]."""
 ASPECT_RATIO_LOG_TOLERANCE = 0.1
-"""Images whose ratios of width to height differ by less [log] are the same at another size."""
+"""Maximum log ratio between the aspect ratios of images of the same content."""
 
 
 @dataclass(frozen=True)
 class DemoTracker(Tracker):
-    """Records, or what a demo of such a network saves."""
+    """Records, or the saved files of a demo."""
 
     joints_of: ClassVar[Side | None] = None
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hand of the requested side in the records of the clip's frames or, without any, as saved."""
+        """Read the hand of the requested side in the clip's frames, from records or else from the demo's files."""
         unsaved = [path for path in paths if not hamer_demo.is_demo_file(path)]
         if not unsaved:
             return Estimates(request.side, tuple(hamer_demo.demo_estimates(paths, request, self.joints_of)))
         found = []
         for path, frame, content in per_image(unsaved, request):
             for record in split_people(path, content):
-                found += [
-                    hamer_estimate(path, frame, hand, request) for hand in select_hamer_side(path, record, request.side)
-                ]
+                hands = select_hamer_side(path, record, request.side)
+                found += [hamer_estimate(path, frame, hand, request) for hand in hands]
         return Estimates(request.side, tuple(found))
 
 
 @dataclass(frozen=True)
 class HaMeR(DemoTracker):
-    """HaMeR's records, and what its demo saves."""
+    """HaMeR's records, and its demo's files."""
 
     name = "HaMeR"
     takes = "the demo's out_folder with --save_mesh, or a record for each image, as the demo holds it"
@@ -129,12 +126,12 @@ def split_people(path: Path, content: Record) -> list[Record]:
     each = [_rename_to_hamer_keys(hand) for hand in (listed if isinstance(listed, list) else [listed])]
     wrong = next((hand for hand in each if not isinstance(hand, Mapping)), None)
     if wrong is not None:
-        raise InputError(path, "", files.shorten_value(wrong), "a dictionary for each hand")
+        raise InputError(path, "", shorten_value(wrong), "a dictionary for each hand")
     return each
 
 
 def _rename_to_hamer_keys(hand: object) -> Any:
-    """Rename the keys of fasthamer's hands and of V2D's tracks, whose values are HaMeR's, to HaMeR's."""
+    """Rename the keys of fasthamer's hands and of V2D's tracks to HaMeR's."""
     if not isinstance(hand, Mapping):
         return hand
     if isinstance(hand.get("mano"), Mapping) and isinstance(hand.get("camera"), Mapping):
@@ -145,10 +142,7 @@ def _rename_to_hamer_keys(hand: object) -> Any:
 
 
 def select_hamer_side(path: Path, record: Record, side: Side) -> list[Record]:
-    """Select the records of one side's hands in a record.
-
-    Raises ``InputError`` for records that do not state the side.
-    """
+    """Select the records of one side's hands in a record. Raises ``InputError``, also without a stated side."""
     if not record:  # the later code's, of an image without hands
         return []
     if "left" in record or isinstance(record.get("right", 0), dict | None):
@@ -162,7 +156,7 @@ def select_hamer_side(path: Path, record: Record, side: Side) -> list[Record]:
 
 
 def _items_of_hand(record: Record, row: int, of: int) -> Iterator[tuple[str, object]]:
-    """Yield a record's items at one of several hands; items that are not per hand belong to all of them."""
+    """Yield a record's items for one of several hands; items without an axis of hands are shared."""
     for key, value in record.items():
         if isinstance(value, dict):
             yield key, dict(_items_of_hand(value, row, of))
@@ -194,7 +188,7 @@ def hamer_estimate(path: Path, frame: int, record: Record, request: Request) -> 
 
 
 def _read_finger_rotations(path: Path, record: Record) -> ndarray:
-    """Read ``hand_pose`` as 15 matrices or vectors, also where these are in one row of 45."""
+    """Read ``hand_pose`` as 15 matrices or vectors, from one row of 45, too."""
     pose = record_numbers(path, record, "hand_pose", (15, 3, 3), (15, 3), (45,))
     return pose.reshape(15, 3) if pose.ndim == 1 else pose
 
@@ -219,10 +213,8 @@ def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakP
         return weak.resized(zoom), Source(f"pred_cam_t_full, {known}, and the clip's put in{swapped}", basis)
     cam = record_numbers(path, record, "pred_cam", (3,))
     if "box_center" in record:
-        centre, side = (
-            record_numbers(path, record, "box_center", (2,)),
-            float(record_numbers(path, record, "box_size", ())),
-        )
+        centre = record_numbers(path, record, "box_center", (2,))
+        side = float(record_numbers(path, record, "box_size", ()))
         source = "box_center and box_size"
     else:
         source = next((key for key in ("box_xyxy_456x256", "box_xyxy") if key in record), "box_center")
@@ -236,30 +228,23 @@ def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakP
 
 
 def _record_image_size(path: Path, record: Record, camera: Camera) -> tuple[Float[ndarray, "2"], str]:
-    """Width and height of the images that a record is of [px], and in words how ``img_size`` was read otherwise.
+    """Return the size of a record's images [px], and a note on a swapped ``img_size``.
 
-    Raises ``InputError`` for images of other proportions than the clip's.
+    Raises ``InputError`` for images of another aspect ratio than the clip's.
     """
     if "box_xyxy_456x256" in record:
         return np.array(BOX_IMAGE_SIZE_PX, dtype=float), ""
-    size = (
-        record_numbers(path, record, "img_size", (2,)) if "img_size" in record else np.array(camera.size, dtype=float)
-    )
+    size = np.array(camera.size, dtype=float)
+    if "img_size" in record:
+        size = record_numbers(path, record, "img_size", (2,))
     if not size.min() >= 1.0:
         raise InputError(path, "img_size", str(size.tolist()), "width and height [px]")
-    clip = camera.size[0] / camera.size[1]
+    clip, wanted = camera.size[0] / camera.size[1], _format_image_size(camera.size)
     if abs(np.log(size[0] / size[1] / clip)) < ASPECT_RATIO_LOG_TOLERANCE:
         return size, ""
     if abs(np.log(size[1] / size[0] / clip)) < ASPECT_RATIO_LOG_TOLERANCE:
-        return size[
-            ::-1
-        ], f"; img_size read as height and width, a guess: the clip's images are {_format_image_size(camera.size)}"
-    raise InputError(
-        path,
-        "img_size",
-        _format_image_size(size),
-        f"width and height like the clip's images, {_format_image_size(camera.size)}",
-    )
+        return size[::-1], f"; img_size read as height and width, a guess: the clip's images are {wanted}"
+    raise InputError(path, "img_size", _format_image_size(size), f"width and height like the clip's images, {wanted}")
 
 
 def _format_image_size(size: Sequence[float] | ndarray) -> str:
@@ -269,10 +254,9 @@ def _format_image_size(size: Sequence[float] | ndarray) -> str:
 def _read_hamer_joints(
     path: Path, record: Record, side: Side, R: ndarray, pose: ndarray, betas: ndarray
 ) -> Float[ndarray, "21 3"]:
-    """``pred_keypoints_3d`` of the hand as it is.
+    """Read ``pred_keypoints_3d``; a left hand's are mirrored if that agrees better with the rotations.
 
-    The demos mirror a left hand's vertices where they are, but its keypoints not always: of the two, those are taken
-    that agree with the rotations.
+    The demos mirror a left hand's vertices always, but its keypoints not always.
     """
     from getagrip.readers.trackers.read_hands import generic_joints
 

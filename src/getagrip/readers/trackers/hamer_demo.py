@@ -1,11 +1,11 @@
-"""Files that the demos of HaMeR and WiLoR save: meshes (``--save_mesh``) and joints (HaMeR, ``--save_keypoints``).
+"""Files of HaMeR's and WiLoR's demos: meshes (``--save_mesh``) and joints (HaMeR, ``--save_keypoints``).
 
-``<image>_<person>.obj`` has MANO's 778 vertices [m] before the camera that the demo assumes (5000 / 256 times the
-larger side of the image, its principal point in the middle), its axes turned to OpenGL's. Faces that close the wrist
-follow MANO's; in those of left hands the corners are in the other order, which is all that says which hand it is.
+``<image>_<person>.obj`` has MANO's 778 vertices [m] before the demo's camera (focal length 5000 / 256 times the larger
+side of the image, central principal point), in OpenGL's axes. Faces that close the wrist follow MANO's faces; the order
+of their corners tells the side: reversed for left hands.
 
-``<image>_<person>_3dkeypoints.npy`` has the joints (n, 21, 3) of all hands of the batch of eight that this person is
-in, before the same camera. Left hands are as the network sees them, mirrored about MANO's origin; nothing says that.
+``<image>_<person>_3dkeypoints.npy`` has the joints (n, 21, 3) of all hands in the person's batch of eight, before the
+same camera. Left hands are mirrored about MANO's origin, as the network sees them; the file does not state the side.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ DEMO_JOINTS_SUFFIX = "_3dkeypoints"
 DEMO_BATCH_SIZE = 8
 OPENGL_AXIS_SIGNS = np.array([1.0, -1.0, -1.0])
 WRIST_FACE = (92, 38, 234)
-"""One of the faces that close the wrist, of a right hand."""
+"""A face that closes the wrist of a right hand."""
 MANO_WRIST_M = np.array([0.0957, 0.0064, 0.0062])
 """MANO's wrist joint in the mean right hand [m]."""
 MAX_DEMO_MESH_BYTES = 4 * 2**20
@@ -52,16 +52,14 @@ class SavedHand:
 
 
 def is_demo_file(path: Path) -> bool:
-    """Return whether a file is such a mesh, or such joints."""
+    """Return whether a file is a mesh or joints of a demo, by its suffix."""
     return path.suffix.lower() in {*records.RECORD_MESH_SUFFIXES, ".npy"}
 
 
 def demo_estimates(paths: Sequence[Path], request: Request, only: Side | None) -> Iterator[Estimate]:
-    """Yield the hands of the requested side.
+    """Yield the hands of the requested side; ``only`` is the side of all joints without a mesh.
 
-    ``only`` states which hand all joints without a mesh beside are of.
-
-    Raises ``InputError`` for damaged files, ``UsageError`` where there is too little to know the hand by.
+    Raises ``InputError`` for malformed files, ``UsageError`` for hands of an unknown side.
     """
     found: dict[tuple[int, int], SavedHand] = {}
     request.check_numbers(paths[0].parent, [path.stem.removesuffix(DEMO_JOINTS_SUFFIX) for path in paths])
@@ -83,14 +81,14 @@ def demo_estimates(paths: Sequence[Path], request: Request, only: Side | None) -
 def _estimate_saved_hand(
     saved: SavedHand, frame: int, person: int, request: Request, only: Side | None
 ) -> Estimate | None:
-    """One hand before the clip's camera; None where it is the other one."""
+    """Estimate one hand before the clip's camera; None for the other side."""
     model = load_mano(request.mano, "right")
     root = MANO_WRIST_M if model is None else model.model.joints[0]
     vertices, side = (None, only) if saved.mesh is None else _read_demo_mesh(saved.mesh)
     if side is None:
         raise UsageError(
-            f"{saved.joints}: which hand these joints are of is in no such file: run the demo with --save_mesh, too, "
-            "and give both; or state with --joints-of left or right that all are of this hand"
+            f"{saved.joints}: these files do not state the hand's side: run the demo with --save_mesh, too, and name "
+            "both; or state the side of all joints with --joints-of left or right"
         )
     if side != request.side:
         return None
@@ -104,13 +102,11 @@ def _estimate_saved_hand(
     else:
         raise MissingOptionError(
             f"missing --mano: the folder of MANO_RIGHT.pkl: {saved.mesh} has no joints. "
-            "Or run HaMeR's demo with --save_keypoints, too, and give both"
+            "Or run HaMeR's demo with --save_keypoints, too, and name both"
         )
     assert path is not None
     if not origin[2] > 0:
-        raise InputError(
-            path, "", f"a hand at the depth {origin[2]:.3g} m", "one before the camera, as the demo has it"
-        )
+        raise InputError(path, "", f"a hand at the depth {origin[2]:.3g} m", "a hand before the demo's camera")
     weak = WeakPerspective.of_translation(origin, hamer_focal(request.size), np.array(request.size) / 2.0)
     shift = weak.before(request.camera(frame)) - origin
     moved = None if vertices is None else vertices + shift
@@ -129,15 +125,14 @@ def _read_demo_mesh(path: Path) -> tuple[Float[ndarray, "778 3"], Side]:
     for side, face in sides.items():
         if any((np.roll(faces, n, axis=1) == face).all(axis=1).any() for n in range(3)):
             return vertices * OPENGL_AXIS_SIGNS, side
-    expected = f"the face {WRIST_FACE} of the closed wrist, or its mirror image, which say which hand it is"
+    expected = f"the face {WRIST_FACE} of the closed wrist, or its mirror image, which tells the side"
     raise InputError(path, "f", f"{len(faces)} faces without it", expected)
 
 
 def _read_demo_joints(path: Path, person: int) -> Float[ndarray, "21 3"]:
-    """Read the joints of one person before the demo's camera, as the network sees them. Raises ``InputError``."""
+    """Read the joints of a person before the demo's camera, left hands mirrored. Raises ``InputError``."""
     rows = records.record_numbers(path, records.read_tracker_record(path), "joints", (-1, 21, 3))
     if person % DEMO_BATCH_SIZE >= len(rows):
-        raise InputError(
-            path, "", f"{len(rows)} hands", f"at least {person % DEMO_BATCH_SIZE + 1}: it is named after hand {person}"
-        )
+        expected = f"at least {person % DEMO_BATCH_SIZE + 1}: it is named after hand {person}"
+        raise InputError(path, "", f"{len(rows)} hands", expected)
     return rows[person % DEMO_BATCH_SIZE]

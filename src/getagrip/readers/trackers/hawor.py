@@ -1,15 +1,13 @@
 """HaWoR's hands before the camera: ``cam_space/<0 left, 1 right>/<first>_<last>.json``, or an ``.npz`` of that layout.
 
 ``init_root_orient`` (T, 3, 3), ``init_hand_pose`` (T, 15, 3, 3), ``init_betas`` (T, 10) and ``init_trans`` (T, 3) of
-the images ``first`` to ``last``, counted from 0 among those that it was run on, and optionally ``joints_2d``; rotations
-of left hands turned back already, for a camera with the focal length that HaWoR was run with (``img_focal``) and its
-principal point in the middle. That focal length is not in the file: it is ``est_focal.txt`` in HaWoR's folder, or asked
-for. Another one would put the hand at another depth.
+the images ``first`` to ``last``, counted from 0 among HaWoR's images, and optionally ``joints_2d``. Rotations of left
+hands are not mirrored. The camera has HaWoR's focal length and a central principal point. The focal length decides the
+depth and is not in the file: it is read from ``est_focal.txt`` in HaWoR's folder, or stated by the user.
 
-``world_space_res.pth`` is a file of joblib, which can run code; where it was made, a line of Python makes an ``.npz``
-of it (the error about it shows the line): ``pred_trans`` (2, T, 3), ``pred_rot`` (2, T, 3), ``pred_hand_pose`` (2, T,
-45), ``pred_betas`` (2, T, 10), ``pred_valid`` (2, T), the left hand first, in the world of
-``SLAM/hawor_slam_w_scale_*.npz``.
+``world_space_res.pth`` is a file of joblib, which can run code; the error about it shows a line of Python that converts
+it to ``.npz``: ``pred_trans`` (2, T, 3), ``pred_rot`` (2, T, 3), ``pred_hand_pose`` (2, T, 45), ``pred_betas``
+(2, T, 10), ``pred_valid`` (2, T), the left hand first, in the world of ``SLAM/hawor_slam_w_scale_*.npz``.
 """
 
 from __future__ import annotations
@@ -29,6 +27,7 @@ from getagrip.clip.match_frames import frame_of, has_number_offset
 from getagrip.errors import InputError, MissingOptionError
 from getagrip.geometry import se3
 from getagrip.io import files
+from getagrip.io.files import shorten_value
 from getagrip.provenance import estimated
 from getagrip.readers.trackers import records
 from getagrip.readers.trackers.dynhamr import mano_root_joint, world_to_camera_mano
@@ -48,13 +47,13 @@ HAWOR_FOCAL_FILE = "est_focal.txt"
 SIDE_FOLDERS = ("0", "1")
 """Folders in ``cam_space`` of the left and the right hand."""
 HAWOR_WORLD_KEYS = ("pred_trans", "pred_rot", "pred_hand_pose", "pred_betas")
-"""Names for the list that ``world_space_res.pth`` is, in its order; ``pred_valid`` is the last."""
+"""Names of the items of the list in ``world_space_res.pth``; ``pred_valid`` is the last item."""
 HAWOR_CAMERA_KEYS = ("init_root_orient", "init_hand_pose", "init_trans", "init_betas")
 
 
 @dataclass(frozen=True)
 class HaWoR(Tracker):
-    """HaWoR's hands before the camera. Its focal length is needed."""
+    """HaWoR's hands before the camera. HaWoR's focal length is required."""
 
     name = "HaWoR"
     takes = "its folder, or its cam_space files"
@@ -67,10 +66,9 @@ class HaWoR(Tracker):
         return "HaWoR's hands in the world" if sample.has(*HAWOR_WORLD_KEYS) else ""
 
     estimator_focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="")] = None
-    """The focal length that it was run with."""
+    """HaWoR's focal length."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hand in those of the files' frames that the clip has."""
         found = list[Estimate]()
         for path in paths:
             if path.parent.name in SIDE_FOLDERS and path.parent.name != SIDE_FOLDERS[request.side == "right"]:
@@ -89,17 +87,13 @@ class HaWoR(Tracker):
         return Estimates(request.side, tuple(found))
 
     def _focal(self, path: Path) -> float:
-        """Return the focal length that HaWoR was run with [px]: as stated, or as ``est_focal.txt`` has it.
-
-        Raises ``UsageError`` where it is not known.
-        """
+        """Return HaWoR's focal length [px], stated or from ``est_focal.txt``. Raises ``UsageError`` if unknown."""
         if self.estimator_focal is not None:
             return self.estimator_focal
-        noted = next(
-            (folder / HAWOR_FOCAL_FILE for folder in path.parents[:3] if (folder / HAWOR_FOCAL_FILE).is_file()), None
-        )
+        notes = (folder / HAWOR_FOCAL_FILE for folder in path.parents[:3])
+        noted = next((note for note in notes if note.is_file()), None)
         if noted is None:
-            raise MissingOptionError("missing --estimator-focal: the focal length that HaWoR was run with [px]")
+            raise MissingOptionError("missing --estimator-focal: the focal length of HaWoR's run [px]")
         noted = files.inside(noted.parent, HAWOR_FOCAL_FILE, "", "a focal length")
         text = files.read_bytes(noted, 100).decode(errors="replace").strip()
         try:
@@ -107,11 +101,11 @@ class HaWoR(Tracker):
         except ValueError:
             focal = 0.0
         if not 0.0 < focal < records.MAX_RECORD_VALUE:
-            raise InputError(noted, "", files.shorten_value(text), "a focal length [px]")
+            raise InputError(noted, "", shorten_value(text), "a focal length [px]")
         return focal
 
     def _frames(self, path: Path, record: Record, count: int, request: Request) -> list[int | None]:
-        """Return the index of the frame of each row, by the file's name where it holds no ``frames``."""
+        """Return the frame index of each row, by ``frames`` or by the file's name."""
         named = re.fullmatch(r"(\d{1,9})_(\d{1,9})", path.stem)
         if "frames" in record or named is None:
             return frames_of_rows(path, record, count, request)
@@ -119,7 +113,7 @@ class HaWoR(Tracker):
         if last - first + 1 != count:
             raise InputError(path, "init_trans", f"{count} frames", f"{last - first + 1}, as the file's name says")
         names = [str(n) for n in range(first, last + 1)]
-        if request.ask_first:  # nobody has said which frame its image 0 is: of a whole video it is frame 1
+        if request.ask_first:  # the frame of image 0 is not stated: in a whole video it is frame 1
             of_video = [str(n) for n in range(first + 1, last + 2)]
             if has_number_offset(request.frames, of_video):
                 request.check_numbers(path, names)
@@ -128,7 +122,7 @@ class HaWoR(Tracker):
 
 
 def _world_estimates(path: Path, record: Record, focal: float, request: Request) -> Iterator[Estimate]:
-    """Yield the hands of one side of ``world_space_res``, before the camera of the SLAM beside it."""
+    """Yield the hands of one side in ``world_space_res``, before the camera of the SLAM file beside it."""
     found = sorted((path.parent / "SLAM").glob("hawor_slam_w_scale_*.npz"))
     if not found:
         raise InputError(path.parent / "SLAM", "", "no hawor_slam_w_scale_*.npz", "the camera's path, in a world")
@@ -140,10 +134,8 @@ def _world_estimates(path: Path, record: Record, focal: float, request: Request)
     T_cam_world = se3.inverse(slam_poses(slam))
     if len(T_cam_world) != T:
         raise InputError(slam, "traj", f"{len(T_cam_world)} poses", f"{T}, one for each frame of {path.name}")
-    R, pose = (
-        record_numbers(path, record, "pred_rot", (2, T, 3))[row],
-        record_numbers(path, record, "pred_hand_pose", (2, T, 45))[row],
-    )
+    R = record_numbers(path, record, "pred_rot", (2, T, 3))[row]
+    pose = record_numbers(path, record, "pred_hand_pose", (2, T, 45))[row]
     betas = record_numbers(path, record, "pred_betas", (2, T, 10))[row]
     for n, frame in enumerate(frames_of_images(path, record, T, request)):
         if frame is not None and valid[n] > 0.5:
@@ -154,7 +146,7 @@ def _world_estimates(path: Path, record: Record, focal: float, request: Request)
 
 
 def slam_poses(path: Path) -> Float[ndarray, "T 4 4"]:
-    """Read ``T_world_cam`` of HaWoR's SLAM [m]: ``traj`` (T, 7), a place and a quaternion (x, y, z, w); ``scale``.
+    """Read ``T_world_cam`` of HaWoR's SLAM [m]: ``traj`` (T, 7), a position and a quaternion (x, y, z, w); ``scale``.
 
     Raises ``InputError``.
     """
@@ -186,9 +178,8 @@ def hawor_estimate(path: Path, frame: int, record: Record, camera: Camera, focal
     fingers = record_numbers(path, record, "init_hand_pose", (15, 3, 3), (15, 3), (45,))
     matrices = to_rotation_matrices(path, "init_hand_pose", fingers if fingers.ndim > 1 else fingers.reshape(15, 3), 1)
     pose = se3.log_so3(matrices).reshape(45)
-    R = to_rotation_matrices(
-        path, "init_root_orient", record_numbers(path, record, "init_root_orient", (3, 3), (3,)), 0
-    )
+    orient = record_numbers(path, record, "init_root_orient", (3, 3), (3,))
+    R = to_rotation_matrices(path, "init_root_orient", orient, 0)
     weak = WeakPerspective.of_translation(t, focal, np.array(camera.size) / 2.0)
     depth = f"HaWoR's translation, its focal length {focal:.6g} px divided out and the clip's put in"
     betas = record_numbers(path, record, "init_betas", (10,))

@@ -1,4 +1,4 @@
-"""Plain joints, over all frames in one file, already before the clip's camera: ``joints`` (T, 21, 3) [m]."""
+"""Plain joints of all frames in one file, before the clip's camera: ``joints`` (T, 21, 3) [m]; SOMA's 25 joints."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tyro.conf import arg
 
 from getagrip.errors import InputError, MissingOptionError
 from getagrip.hands.fit_joints import JOINT_ORDERS
-from getagrip.io import files
+from getagrip.io.files import printable
 from getagrip.io.options import one_of
 from getagrip.provenance import assumed
 from getagrip.readers.trackers import hamer_demo, records
@@ -23,9 +23,7 @@ from getagrip.readers.trackers.read_hands import Order, check_before_camera, reo
 from getagrip.readers.trackers.records import Sample, record_numbers
 from getagrip.readers.trackers.tracker import Tracker, frames_of_rows, only_file
 
-JOINTS_DEPTH_SOURCE = assumed(
-    "joints before the camera, as the file has them; that it was the clip's camera is a guess"
-)
+JOINTS_DEPTH_SOURCE = assumed("joints before the camera, as the file has them; that it is the clip's camera is a guess")
 
 
 SOMA_JOINT_INDICES = [0, 1, 2, 3, 4, *range(6, 10), *range(11, 15), *range(16, 20), *range(21, 25)]
@@ -34,7 +32,7 @@ SOMA_JOINT_INDICES = [0, 1, 2, 3, 4, *range(6, 10), *range(11, 15), *range(16, 2
 
 @dataclass(frozen=True)
 class Joints(Tracker):
-    """Plain joints. Their order is needed."""
+    """Plain joints. Their order is required."""
 
     name = "joints from a file"
     takes = "21 of them in metres, before the camera"
@@ -42,17 +40,15 @@ class Joints(Tracker):
     looks_for = "joints (T, 21, 3)"
 
     def recognises(self, sample: Sample) -> str:
-        if np.shape(sample.record.get("joints", ()))[-2:] != (21, 3) or sample.path.stem.endswith(
-            hamer_demo.DEMO_JOINTS_SUFFIX
-        ):
+        of_demo = sample.path.stem.endswith(hamer_demo.DEMO_JOINTS_SUFFIX)
+        if np.shape(sample.record.get("joints", ()))[-2:] != (21, 3) or of_demo:
             return ""
         return "21 joints in every frame"
 
     order: Annotated[Order | None, one_of(*JOINT_ORDERS, "auto"), arg(help_behavior_hint="")] = None
-    """Their order (docs/hands.md); auto: the one in which they fit a hand."""
+    """Order of the joints (docs/hands.md); auto: the order in which they fit a hand."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the joints in those of the file's frames that the clip has."""
         if self.order is None:
             raise MissingOptionError("missing --order (openpose, ho3d or auto): the order of the joints is in no file")
         path = only_file(paths, "joints")
@@ -72,7 +68,7 @@ class Soma(Tracker):
         return "SOMA's 25 joints" if np.shape(sample.record.get("joints", ()))[-2:] == (25, 3) else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the joints in those of the file's frames that the clip has; the metacarpal ones are not used."""
+        """Read the joints in the clip's frames, without the metacarpal joints."""
         path = only_file(paths, "joints")
         record = records.read_tracker_record(path)
         points = record_numbers(path, record, "joints", (-1, 25, 3))[:, SOMA_JOINT_INDICES]
@@ -93,8 +89,8 @@ def joint_estimates(
         if frame is not None
     ]
     if not found:
-        got = f"hands in other frames ({files.printable(str(np.asarray(record['frames'])[0]))}, ...)"
-        named = " to ".join(files.printable(frame) for frame in (request.frames[0], request.frames[-1]))
+        got = f"hands in other frames ({printable(str(np.asarray(record['frames'])[0]))}, ...)"
+        named = " to ".join(printable(frame) for frame in (request.frames[0], request.frames[-1]))
         raise InputError(path, "frames", got, f"hands in the clip's, {named}")
     scale = "; ".join(filter(None, ["the joints, as the file has them", ordered.chosen]))
     return Estimates(request.side, tuple(found), scale=scale, warning=ordered.warning)

@@ -1,20 +1,19 @@
-"""2D landmarks of any tracker, as of MediaPipe, OpenPose, ViTPose or COCO-WholeBody, lifted to hands before the camera.
+"""2D landmarks of any tracker, lifted to hands before the camera.
 
-One file for all frames: ``joints_2d`` (T, 21, 2) [px of the clip's images], or (T, 21, 3) with the confidence, or with
-``joints_2d_confidence`` (T, 21); NaN or null where not seen. ``world_landmarks`` (T, 21, 3) beside them, as of
-MediaPipe, are the same about the hand's middle, in the camera's axes [m]; their depths are used. All of these trackers
-have one order: wrist, then thumb, index, middle, ring and pinky, each from the palm to the tip. A .csv has ``frame``,
-``x0``, ``y0`` to ``x20``, ``y20``, optionally ``c0`` to ``c20``. Or OpenPose's ``*_keypoints.json``, one per image.
+- **Arrays**, one file for all frames: ``joints_2d`` (T, 21, 2) [px of the clip's images], or (T, 21, 3) with the
+  confidence, or with ``joints_2d_confidence`` (T, 21); NaN or null for unseen landmarks. ``world_landmarks``
+  (T, 21, 3), as of MediaPipe, are relative to the hand's middle, in the camera's axes [m]; their depths are used. A
+  .csv has ``frame``, ``x0``, ``y0`` to ``x20``, ``y20``, optionally ``c0`` to ``c20``.
+- **OpenPose**: ``*_keypoints.json``, a file for each image.
+- **MediaPipe**, JSON: ``hand_landmarks`` (or ``landmarks``), for each hand 21 of ``{"x", "y"}`` as fractions of the
+  image's sides, with ``handedness``; or ``multi_hand_landmarks`` and ``multi_handedness`` of the older interface.
+  World landmarks (``hand_world_landmarks`` ...) give the depth of each landmark relative to the hand's middle [m].
+- **MMPose** (ViTPose), JSON: ``instances`` with ``keypoints`` [px] and ``keypoint_scores``: COCO-WholeBody's 133, or a
+  hand's 21.
 
-2D landmarks as trackers write them: MediaPipe's results and MMPose's (ViTPose's) predictions, as JSON.
-
-- **MediaPipe**: ``hand_landmarks`` (or ``landmarks``), for each hand 21 of ``{"x", "y"}`` as shares of the image's
-  sides, with ``handedness``; or ``multi_hand_landmarks`` and ``multi_handedness`` of its older interface. World
-  landmarks beside them, ``hand_world_landmarks`` and so on, give the depth of each about the hand's middle [m].
-- **MMPose**: ``instances`` with ``keypoints`` [px] and ``keypoint_scores``: COCO-WholeBody's 133, or a hand's 21.
-
-A file is of one image, named like it, or lists its images: records with ``frame``, ``frame_id`` or ``frame_index``, or
-in the order of the clip's frames; ``instance_info`` may hold the list.
+The order of landmarks is the same in all formats: wrist, then thumb, index, middle, ring and pinky, each from the palm
+to the tip. A JSON file holds one image, and is named like it, or lists images: records with ``frame``, ``frame_id`` or
+``frame_index``, or in the order of the clip's frames; ``instance_info`` may hold the list.
 """
 
 from __future__ import annotations
@@ -36,6 +35,7 @@ from getagrip.hands.from_2d.clicks import ASSUMED_SCALE_NOTE
 from getagrip.hands.from_2d.landmarks import hands_from_landmarks
 from getagrip.hands.model import Side
 from getagrip.io import arrays, files
+from getagrip.io.files import printable, shorten_value
 from getagrip.io.options import one_of
 from getagrip.provenance import assumed
 from getagrip.readers.trackers import records
@@ -49,7 +49,6 @@ MEDIAPIPE_WORLD_KEYS = (
 )  # fmt: skip
 HANDEDNESS = ("handedness", "handednesses", "multi_handedness")
 IMAGE_NAME_KEYS = ("frame", "frame_id", "frame_index", "image", "file_name")
-OPPOSITE_SIDE: dict[str, str] = {"left": "right", "right": "left"}
 WHOLE_BODY = {133: {"left": slice(91, 112), "right": slice(112, 133)}}
 """Rows of each hand among COCO-WholeBody's keypoints."""
 
@@ -60,13 +59,13 @@ class DetectedHand(NamedTuple):
     points: Float[ndarray, "21 4"]
     side: str
     in_mirror: bool = False
-    """True if the side may be that of the mirrored image."""
+    """True if the side may refer to the mirrored image."""
 
     def may_be(self, side: Side, swapped: bool | None) -> bool:
-        """Return whether it may be the hand of a side; ``swapped`` as in ``read_landmarks``."""
+        """Return whether the hand may be of a side; ``swapped`` as in ``read_landmarks``."""
         if not self.side or (self.in_mirror and swapped is None):
             return True
-        return self.side == (OPPOSITE_SIDE[side] if self.in_mirror and swapped else side)
+        return (self.side == side) != bool(self.in_mirror and swapped)
 
 
 def is_mediapipe(keys: frozenset[str]) -> bool:
@@ -82,10 +81,11 @@ def is_mmpose(keys: frozenset[str]) -> bool:
 def read_landmarks(
     paths: Sequence[Path], side: Side, swapped: bool | None
 ) -> tuple[list[str], Float[ndarray, "T 21 4"], bool]:
-    """Read the landmarks of one side's hand: the names of images, or none where their order counts, and the points.
+    """Read the landmarks of one side's hand.
 
-    Zeros where there is no such hand. ``swapped``: True if Left in the files means a right hand. Also return whether
-    the side is assumed. Raises ``InputError``, and ``UsageError`` where it must be stated whether sides are swapped.
+    Returns the images' names (empty where their order counts), the points (zeros in images without the hand), and
+    whether the side is assumed. ``swapped``: True if Left in the files means a right hand. Raises ``InputError``, and
+    ``UsageError`` where ``swapped`` is needed.
     """
     named, hands = list[str](), list[list[DetectedHand]]()
     for path in paths:
@@ -108,7 +108,7 @@ def read_landmarks(
 
 
 def _list_landmark_images(path: Path) -> list[tuple[str | None, Record]]:
-    """Return the name of each image, None where there is none, and what the file has of it."""
+    """List the images of a file: name (None if unnamed) and record."""
     content = records.read_tracker_record(path)
     by_image = records.records_by_image(content)
     if by_image:
@@ -127,18 +127,16 @@ def _list_landmark_images(path: Path) -> list[tuple[str | None, Record]]:
 
 def _require_mapping(path: Path, value: object) -> Record:
     if not isinstance(value, Mapping):
-        raise InputError(path, "", "a list of other things", "a record for each image")
+        raise InputError(path, "", shorten_value(value), "a record for each image")
     return value
 
 
 def _read_mediapipe_hands(path: Path, content: Record) -> list[DetectedHand]:
-    """Read MediaPipe's hands in an image; none where it is not of MediaPipe."""
     key = next((key for key in MEDIAPIPE_LANDMARK_KEYS if isinstance(content.get(key), list)), None)
     if key is None:
         return []
-    labels = [
-        _read_side_label(one) for one in next((content[k] for k in HANDEDNESS if isinstance(content.get(k), list)), [])
-    ]
+    listed: list[object] = next((content[key] for key in HANDEDNESS if isinstance(content.get(key), list)), [])
+    labels = [_read_side_label(one) for one in listed]
     of_world = next((key for key in MEDIAPIPE_WORLD_KEYS if content.get(key) is not None), "")
     world, found = content.get(of_world), []
     if world is not None and not (isinstance(world, list) and len(world) == len(content[key])):
@@ -151,7 +149,6 @@ def _read_mediapipe_hands(path: Path, content: Record) -> list[DetectedHand]:
 
 
 def _read_landmark_coordinates(path: Path, key: str, hand: object, axes: str) -> Float[ndarray, "21 d"]:
-    """Read some coordinates of a hand's landmarks."""
     points = hand.get("landmark", hand.get("landmarks")) if isinstance(hand, Mapping) else hand
     rows = points if isinstance(points, list) and all(isinstance(point, Mapping) for point in points) else []
     values = arrays.from_lists([[point.get(axis) for axis in axes] for point in rows])
@@ -163,7 +160,6 @@ def _read_landmark_coordinates(path: Path, key: str, hand: object, axes: str) ->
 
 
 def _read_side_label(value: object) -> str:
-    """Return the side that a hand's classification names, in small letters."""
     while isinstance(value, list) and value:
         value = value[0]
     if isinstance(value, Mapping) and isinstance(value.get("classification"), list):
@@ -174,7 +170,6 @@ def _read_side_label(value: object) -> str:
 
 
 def _read_mmpose_hands(path: Path, content: Record) -> list[DetectedHand]:
-    """Read the hands of the people in an image."""
     found = []
     for one in content.get("instances", [content] if "keypoints" in content else []):
         keypoints = arrays.from_lists(_require_mapping(path, one).get("keypoints"))
@@ -194,12 +189,12 @@ def _read_mmpose_hands(path: Path, content: Record) -> list[DetectedHand]:
 
 LANDMARKS_DEPTH_SOURCE = assumed("from the size of the generic hand and the clip's focal length")
 MAX_NORMALISED_COORDINATE = 1.5
-"""Coordinates up to here are shares of the image's sides, as MediaPipe gives them."""
+"""Maximum coordinate that is a fraction of the image's sides, as of MediaPipe; larger ones are pixels."""
 WORLD_LANDMARKS_KEY = "world_landmarks"
 MAX_LANDMARK_DEPTH_M = 0.5
-"""No landmark is farther from the hand's middle [m]."""
+"""Maximum depth of a landmark relative to the hand's middle [m]."""
 OPENPOSE_SUFFIX = "_keypoints"
-"""At the end of the names of OpenPose's files."""
+"""Suffix of the names of OpenPose's files."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +217,7 @@ class Landmarks(Tracker):
         return "2D landmarks" if "joints_2d" in sample.keys and "hand_pose" not in sample.keys else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the lifted hand in the clip's frames that have landmarks, or few frames between them."""
+        """Read the lifted hand in the clip's frames with landmarks, short gaps included."""
         seen, path, side_assumed = np.zeros((len(request.frames), 21, 4)), paths[0], False
         keys = frozenset[str]() if path.suffix.lower() == ".csv" else Sample(path).keys
         if is_mediapipe(keys) or is_mmpose(keys):
@@ -230,23 +225,20 @@ class Landmarks(Tracker):
             names, points, side_assumed = read_landmarks(paths, request.side, swapped)
             rows = {"frames": names} if names else {}
         elif path.stem.endswith(OPENPOSE_SUFFIX):
-            read = [
-                (path.stem.removesuffix(OPENPOSE_SUFFIX), _read_openpose_hand(path, request.side)) for path in paths
-            ]
-            rows = {"frames": [name for name, _ in read]}
-            points = np.insert(np.array([found for _, found in read]), 3, np.nan, axis=-1)
+            names = [path.stem.removesuffix(OPENPOSE_SUFFIX) for path in paths]
+            rows, hands = {"frames": names}, [_read_openpose_hand(path, request.side) for path in paths]
+            points = np.insert(np.array(hands), 3, np.nan, axis=-1)
         else:
             path = only_file(paths, "landmarks")
-            rows = dict(
-                _read_landmark_csv(path) if path.suffix.lower() == ".csv" else records.read_tracker_record(path)
-            )
+            is_table = path.suffix.lower() == ".csv"
+            rows = dict(_read_landmark_csv(path) if is_table else records.read_tracker_record(path))
             found = records.seen_joints(path, rows, _count_landmark_frames(path, rows))
             if found is None:
                 raise InputError(path, "joints_2d", "no such key", "the landmarks (T, 21, 2) [px]")
             points = np.insert(found, 3, _read_world_depths(path, rows, found.shape), axis=-1)
         for row, frame in enumerate(frames_of_rows(path, rows, len(points), request)):
             if frame is not None and seen[frame].any():
-                got = f"a second row of frame {files.printable(request.frames[frame])}, row {row}"
+                got = f"a second row of frame {printable(request.frames[frame])}, row {row}"
                 raise InputError(path, "frames", got, "one row for each frame, of one hand")
             if frame is not None:
                 seen[frame] = points[row]
@@ -259,7 +251,7 @@ def _read_world_depths(path: Path, rows: records.Record, shape: tuple[int, ...])
         return np.full(shape[:2], np.nan)
     value = arrays.from_lists(records.without_none(rows[WORLD_LANDMARKS_KEY]))
     if value is None or value.dtype.kind not in "fiu" or value.shape != shape:
-        given = files.shorten_value(rows[WORLD_LANDMARKS_KEY]) if value is None else f"the shape {value.shape}"
+        given = shorten_value(rows[WORLD_LANDMARKS_KEY]) if value is None else f"the shape {value.shape}"
         raise InputError(path, WORLD_LANDMARKS_KEY, given, f"numbers of shape {shape}")
     return np.asarray(value[..., 2], dtype=float)
 
@@ -269,20 +261,16 @@ def lift_image_landmarks(
 ) -> Estimates:
     """Lift landmarks in the clip's images to hands: x, y, confidence and depth about the hand's middle [m].
 
-    All are zero where there is no hand, depths NaN where unknown. Coordinates that are all small are shares of the
-    image's sides.
+    Frames without a hand are zero, unknown depths NaN. Coordinates that are all small are fractions of the image's
+    sides. Raises ``InputError``.
     """
     there = seen[..., 2] > 0.0
     if not there.any():
         return Estimates(request.side, ())
     deepest = np.abs(seen[there][np.isfinite(seen[there][:, 3]), 3]).max(initial=0.0)
     if deepest > MAX_LANDMARK_DEPTH_M:
-        raise InputError(
-            path,
-            WORLD_LANDMARKS_KEY,
-            f"a depth of {deepest:.3g}",
-            f"metres about the hand's middle, up to {MAX_LANDMARK_DEPTH_M}",
-        )
+        expected = f"metres about the hand's middle, up to {MAX_LANDMARK_DEPTH_M}"
+        raise InputError(path, WORLD_LANDMARKS_KEY, f"a depth of {deepest:.3g}", expected)
     shares = np.abs(seen[there][:, :2]).max() <= MAX_NORMALISED_COORDINATE
     if shares:
         seen = seen * [*request.size, 1.0, 1.0]
@@ -296,20 +284,19 @@ def lift_image_landmarks(
         for frame, hand in zip(found.rows, joints, strict=True)
     )
     scale = ASSUMED_SCALE_NOTE + (f"; that it is the {request.side} hand is a guess" if side_assumed else "")
-    scale += "; coordinates up to 1 taken as shares of the image" if shares else ""
+    scale += "; coordinates up to 1 taken as fractions of the image" if shares else ""
     return Estimates(request.side, tuple(hands), scale=scale, scale_assumed=True)
 
 
 def _count_landmark_frames(path: Path, rows: records.Record) -> int:
-    """How many frames there are. Raises ``InputError``."""
     try:
         return len(rows.get("joints_2d", ()))
     except TypeError as error:
-        raise InputError(path, "joints_2d", files.shorten_value(rows["joints_2d"]), "an array (T, 21, 2)") from error
+        raise InputError(path, "joints_2d", shorten_value(rows["joints_2d"]), "an array (T, 21, 2)") from error
 
 
 def _read_openpose_hand(path: Path, side: str) -> Float[ndarray, "21 3"]:
-    """Read the hand of a side in an OpenPose file, of the person with the surest one; zeros without any."""
+    """Read the hand of a side in an OpenPose file, of the person with the highest confidence; zeros without any."""
     people = records.read_tracker_record(path).get(records.PEOPLE_KEY, [])
     best = np.zeros((21, 3))
     for person in people if isinstance(people, list) else []:
@@ -321,20 +308,19 @@ def _read_openpose_hand(path: Path, side: str) -> Float[ndarray, "21 3"]:
 
 
 def _read_landmark_csv(path: Path) -> records.Record:
-    """Read a table of landmarks. Raises ``InputError``."""
+
     heads, rows = files.csv_rows(path, files.read_bytes(path, records.MAX_RECORD_BYTES), "a table of landmarks")
     columns = [f"{axis}{joint}" for joint in range(21) for axis in "xy"]
     missing = next((name for name in ("frame", *columns) if name not in heads), None)
     if missing or not rows:
-        raise InputError(
-            path, missing or "", "no such column" if missing else "no rows", "frame, x0, y0, ..., x20, y20"
-        )
+        got = "no such column" if missing else "no rows"
+        raise InputError(path, missing or "", got, "frame, x0, y0, ..., x20, y20")
 
     def number(where: str, row: dict[str, str], key: str) -> float:
         try:
             return float(row[key] or "nan")
         except ValueError as error:
-            raise InputError(path, where + key, files.shorten_value(row[key]), "a number") from error
+            raise InputError(path, where + key, shorten_value(row[key]), "a number") from error
 
     points = np.array([[number(*each, name) for name in columns] for each in rows]).reshape(-1, 21, 2)
     of_confidence = [f"c{k}" for k in range(21)] if "c0" in heads else []

@@ -1,9 +1,9 @@
 """LeRobot's datasets: a column with the hand's joints in every frame, in its Parquet files (versions 2.1 and 3.0).
 
-No name of such a column is usual, so it is stated: 42 numbers are 21 landmarks in the image (pixels, or shares of its
-sides), 63 are 21 joints before the clip's camera [m]; 84 and 126 are both hands. Which of them is first is in the names
-of the column's numbers (``meta/info.json``), or shows in the hand's masks or in the joints. The joints are in
-MediaPipe's order, which is OpenPose's. Rows are matched to frames by their times where the rates differ.
+The user states the column: its name follows no convention. 42 numbers are 21 landmarks in the image (pixels, or
+fractions of its sides), 63 are 21 joints before the clip's camera [m]; 84 and 126 are both hands. The first hand is
+found by the names of the column's numbers (``meta/info.json``), by the hand's masks, or by the fit of the joints. The
+joints are in MediaPipe's order, which is OpenPose's. Rows are matched to frames by their times where the rates differ.
 """
 
 from __future__ import annotations
@@ -25,22 +25,27 @@ from getagrip.geometry.camera import project
 from getagrip.hands.model import Side
 from getagrip.io import files
 from getagrip.io.files import Json
-from getagrip.io.images import read_png
 from getagrip.io.options import one_of
 from getagrip.readers.streams import parquet_columns, read_columns
-from getagrip.readers.trackers.estimates import Estimates, Request
+from getagrip.readers.trackers.estimates import OPPOSITE_SIDE, Estimates, Request
 from getagrip.readers.trackers.joints import joint_estimates
 from getagrip.readers.trackers.landmarks_2d import MAX_NORMALISED_COORDINATE, lift_image_landmarks
-from getagrip.readers.trackers.read_hands import CERTAIN_MISFIT_RATIO, N_ORDER_TEST_FRAMES, joint_misfit
+from getagrip.readers.trackers.read_hands import (
+    CERTAIN_MISFIT_RATIO,
+    N_ORDER_TEST_FRAMES,
+    fraction_in_mask,
+    joint_misfit,
+)
 from getagrip.readers.trackers.records import Sample
 from getagrip.readers.trackers.tracker import Tracker, frames_of_images
 
 Halves = Literal["left-first", "right-first"]
+EXPECTED_JOINT_COUNTS = "42, 63, 84 or 126 numbers in each row"
 
 
 @dataclass(frozen=True)
 class LeRobot(Tracker):
-    """A column of joints in a dataset of LeRobot. It is needed."""
+    """A column of joints in a dataset of LeRobot. The column is required."""
 
     name = "LeRobot"
     takes = "a column of joints or landmarks in its Parquet files"
@@ -52,14 +57,14 @@ class LeRobot(Tracker):
     episode: Annotated[int, arg(metavar="N")] = 0
     """Episode of the dataset."""
     halves: Annotated[Halves | None, one_of(*get_args(Halves)), arg(help_behavior_hint="")] = None
-    """Which hand is in the first half of a column of both, where the dataset does not tell."""
+    """Which hand is in the first half of a column of both hands, where the dataset does not say."""
 
     def recognises(self, sample: Sample) -> str:
         other = sample.path.name == "hand_tracking.parquet"  # EgoHandKit's
         return "a dataset of LeRobot" if sample.path.suffix.lower() == ".parquet" and not other else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hand in those of the episode's frames that the clip has."""
+        """Read the hand in the clip's frames."""
         path, values, stamps = self._episode(paths)
         info = _read_dataset_info(path)
         frames, matched = _match_rows_to_frames(path, len(values), stamps, info.get("fps"), request)
@@ -78,7 +83,6 @@ class LeRobot(Tracker):
         self, path: Path, values: Float[ndarray, "T n"], frames: Sequence[int | None], there: Bool[ndarray, "T"],
         request: Request,
     ) -> Estimates:  # fmt: skip
-        """Convert the rows of one hand that are ``there``."""
         if values.shape[1] == 42:
             seen = np.zeros((len(request.frames), 21, 4))
             for row, frame in enumerate(frames):
@@ -94,7 +98,7 @@ class LeRobot(Tracker):
     def _first_half(
         self, path: Path, values: Float[ndarray, "T n"], frames: Sequence[int | None], info: Json, request: Request
     ) -> tuple[Side, str]:
-        """Return whose hand the first half of both is, and why. Raises ``MissingOptionError`` where nothing tells."""
+        """Return the side of the first half, and the reason. Raises ``MissingOptionError`` for unknown sides."""
         if self.halves is not None:
             return "left" if self.halves == "left-first" else "right", "as stated"
         features = info.get("features")
@@ -103,24 +107,21 @@ class LeRobot(Tracker):
         left, right = names.find("left"), names.find("right")
         if min(left, right) >= 0:
             return "left" if left < right else "right", "as its numbers are named"
-        halves, other = np.split(values, 2, axis=1), opposite(request.side)
+        halves, other = np.split(values, 2, axis=1), OPPOSITE_SIDE[request.side]
         shares = [_share_in_masks(half, frames, request) for half in halves]
         if abs(shares[0] - shares[1]) > MIN_HALVES_MASK_MARGIN:
             return request.side if shares[0] > shares[1] else other, "by the hand's masks"
         if values.shape[1] == 126:
-            off = {side: _side_misfit(halves[0], side) + _side_misfit(halves[1], opposite(side)) for side in HAND_SIDES}
-            first = min(HAND_SIDES, key=lambda side: off[side])
-            if off[first] < CERTAIN_MISFIT_RATIO * off[opposite(first)]:
+            sides = OPPOSITE_SIDE.items()
+            off = {side: _side_misfit(halves[0], side) + _side_misfit(halves[1], other) for side, other in sides}
+            first = min(off, key=lambda side: off[side])
+            if off[first] < CERTAIN_MISFIT_RATIO * off[OPPOSITE_SIDE[first]]:
                 return first, "by which hand fits"
-        raise MissingOptionError(
-            f"{path}: missing --halves left-first or right-first: which hand is first in {self.column} is not named"
-        )
+        missing = "missing --halves left-first or right-first"
+        raise MissingOptionError(f"{path}: {missing}: which hand is first in {self.column} is not named")
 
     def _episode(self, paths: Sequence[Path]) -> tuple[Path, Float[ndarray, "T n"], Float[ndarray, "T"] | None]:
-        """Read the column of the episode, from the first file that has it, and the times of its rows [s], if known.
-
-        Raises ``UsageError`` without a column.
-        """
+        """Read the column of the episode, from the first file that has it, and the times of its rows [s], if known."""
         columns = list[str]()
         for path in paths:
             columns = parquet_columns(path)
@@ -128,11 +129,8 @@ class LeRobot(Tracker):
                 continue
             if LEROBOT_INDEX_COLUMNS[0] not in columns:
                 continue
-            wanted = [
-                self.column,
-                *[name for name in (*LEROBOT_INDEX_COLUMNS, *LEROBOT_TIME_COLUMNS) if name in columns],
-            ]
-            table = read_columns(path, wanted, (LEROBOT_INDEX_COLUMNS[0], self.episode))
+            others = [name for name in (*LEROBOT_INDEX_COLUMNS, *LEROBOT_TIME_COLUMNS) if name in columns]
+            table = read_columns(path, [self.column, *others], (LEROBOT_INDEX_COLUMNS[0], self.episode))
             values = table[self.column]
             if len(values):
                 if values.ndim != 2 or values.shape[1] not in (42, 63, 84, 126):
@@ -142,28 +140,21 @@ class LeRobot(Tracker):
             raise MissingOptionError(f"missing --column: the hand's numbers; choose from {', '.join(columns)}")
         if self.column not in columns:
             raise unknown_choice_error("--column", self.column, columns)
-        raise InputError(
-            paths[0], LEROBOT_INDEX_COLUMNS[0], f"no row of episode {self.episode}", "an episode of the dataset"
-        )
+        got = f"no row of episode {self.episode}"
+        raise InputError(paths[0], LEROBOT_INDEX_COLUMNS[0], got, "an episode of the dataset")
 
 
 LEROBOT_INDEX_COLUMNS = ("episode_index", "frame_index")
 LEROBOT_TIME_COLUMNS = ("time_s", "timestamp")
-"""Columns of the time of each row [s], the true one first: LeRobot's is that of even frames."""
-HAND_SIDES: tuple[Side, Side] = ("left", "right")
+"""Columns of the time of each row [s], the true time first: LeRobot's own column assumes an even rate."""
 MIN_HALVES_MASK_MARGIN = 0.2
-"""So much more of a hand [its points] is in its masks than of the other, where these tell which it is."""
+"""Minimum difference of two hands' fractions of points in the masks by which the masks decide."""
 FRAME_RATE_TOLERANCE = 0.02
-"""Rates that differ by less are one."""
-
-
-def opposite(side: Side) -> Side:
-    """Return the other side."""
-    return "left" if side == "right" else "right"
+"""Maximum relative difference of equal frame rates."""
 
 
 def _read_dataset_info(path: Path) -> Json:
-    """Read the description of a file's dataset; empty where there is none. Raises ``InputError``."""
+    """Read the description of a file's dataset; empty without ``meta/info.json``. Raises ``InputError``."""
     for folder in list(path.absolute().parents)[:3]:
         if (folder / "meta" / "info.json").is_file():
             return files.read_json(files.inside(folder, "meta/info.json", "", "the dataset's description"))
@@ -171,7 +162,7 @@ def _read_dataset_info(path: Path) -> Json:
 
 
 def _read_row_times(path: Path, table: Mapping[str, Float[ndarray, "T *n"]]) -> Float[ndarray, "T"] | None:
-    """Return the times of an episode's rows, from the first one [s]; None where there are none."""
+    """Return the times of an episode's rows, from the first one [s]; None without a column of times."""
     name = next((name for name in LEROBOT_TIME_COLUMNS if name in table), None)
     if name is None:
         return None
@@ -184,9 +175,9 @@ def _read_row_times(path: Path, table: Mapping[str, Float[ndarray, "T *n"]]) -> 
 def _match_rows_to_frames(
     path: Path, count: int, stamps: Float[ndarray, "T"] | None, fps: object, request: Request
 ) -> tuple[Sequence[int | None], str]:
-    """Return the index of the frame of each row, and what is said of it: by times where the rates differ.
+    """Return the frame index of each row, and a note on the matching: by times where the rates differ.
 
-    Raises ``UsageError`` where it is not known which row is the first frame's.
+    Raises ``UsageError`` where the row of the first frame is unknown.
     """
     times = request.times
     if stamps is None and isinstance(fps, int | float) and fps > 0:
@@ -219,14 +210,14 @@ def _match_rows_to_frames(
 
 
 def _side_misfit(values: Float[ndarray, "T 63"], side: Side) -> float:
-    """Measure how far the joints of a hand are off one of a side [m], in some rows that have them; 0 without any."""
+    """Measure the misfit of joints to a hand of a side [m], in some of the rows with joints; 0 without any."""
     there = values[np.isfinite(values).all(axis=1) & (values != 0.0).any(axis=1)]
     some = there[frame_indices(len(there), N_ORDER_TEST_FRAMES)] if len(there) else there
     return joint_misfit(some.reshape(-1, 21, 3), "openpose", side) if len(some) else 0.0
 
 
 def _share_in_masks(values: Float[ndarray, "T n"], frames: Sequence[int | None], request: Request) -> float:
-    """Measure which share of a hand's points is in the masks of the hand, in some frames; 0 where there are none."""
+    """Measure the fraction of a hand's points in the hand masks, in some frames; 0 without masks."""
     if not request.hand_masks:
         return 0.0
     there = [(row, n) for row, n in enumerate(frames) if n is not None and request.hand_masks[n] is not None]
@@ -239,11 +230,5 @@ def _share_in_masks(values: Float[ndarray, "T n"], frames: Sequence[int | None],
             points = points * request.size
         path = request.hand_masks[n]
         assert path is not None
-        mask = read_png(path, request.size) != 0
-        u, v = np.floor(np.clip(np.nan_to_num(points, nan=-1.0), -1, max(request.size))).astype(int).T
-        within = (u >= 0) & (v >= 0) & (u < request.size[0]) & (v < request.size[1])
-        inside.append(float(np.mean(within & mask[np.where(within, v, 0), np.where(within, u, 0)])))
+        inside.append(fraction_in_mask(path, np.clip(np.nan_to_num(points, nan=-1.0), -1, max(request.size)), request))
     return float(np.mean(inside)) if inside else 0.0
-
-
-EXPECTED_JOINT_COUNTS = "42, 63, 84 or 126 numbers in each row"

@@ -1,8 +1,8 @@
-"""Plain MANO parameters, over all frames in one file, already before the clip's camera.
+"""Plain MANO parameters of all frames in one file, before the clip's camera.
 
-``global_orient`` (T, 3) or (T, 3, 3), ``hand_pose`` (T, P), ``betas`` (10) or (T, 10), ``transl`` (T, 3) [m]. What
-``hand_pose`` means is in no such file and has to be stated: rotation vectors, principal components or matrices;
-relative to the flat hand or to MANO's mean pose. The wrong choice still looks like a hand.
+``global_orient`` (T, 3) or (T, 3, 3), ``hand_pose`` (T, P), ``betas`` (10) or (T, 10), ``transl`` (T, 3) [m]. Files do
+not state the meaning of ``hand_pose``, so the user must: rotation vectors, principal components or matrices; relative
+to the flat hand or to MANO's mean pose. The wrong choice still looks like a hand.
 """
 
 from __future__ import annotations
@@ -30,14 +30,12 @@ from getagrip.readers.trackers.tracker import Tracker, frames_of_rows, only_file
 
 Encoding = Literal["axis-angle", "pca", "matrix"]
 Mean = Literal["flat", "mean"]
-MANO_DEPTH_SOURCE = assumed(
-    "transl, as the file has it; that the file was made with the clip's focal length is a guess"
-)
+MANO_DEPTH_SOURCE = assumed("transl, as the file has it; that the file assumes the clip's focal length is a guess")
 
 
 @dataclass(frozen=True)
 class ManoParameters(Tracker):
-    """Plain MANO parameters. Both options are needed."""
+    """Plain MANO parameters. Both options are required."""
 
     name = "MANO parameters"
     takes = "plain parameters"
@@ -53,11 +51,10 @@ class ManoParameters(Tracker):
     """Zero of the poses: the flat hand, or MANO's mean pose."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hand in those of the file's frames that the clip has."""
         if self.pose is None or self.mean is None:
             missing = "--pose" if self.pose is None else "--mean"
             choices = "axis-angle, pca or matrix" if self.pose is None else "flat or mean"
-            raise MissingOptionError(f"missing {missing} ({choices}): what MANO's pose numbers are is in no file")
+            raise MissingOptionError(f"missing {missing} ({choices}): files do not state the meaning of hand_pose")
         path = only_file(paths, "parameters")
         record = records.read_tracker_record(path)
         hands = read_mano_parameters(path, record, self.pose, self.mean, load_mano(request.mano, request.side))
@@ -74,10 +71,7 @@ class ManoParameters(Tracker):
 def read_mano_parameters(
     path: Path, record: Record, encoding: Encoding, mean: Mean, model: Mano | None
 ) -> list[HandParameters]:
-    """Read the hands of a file of MANO parameters.
-
-    Raises ``InputError``, and ``UsageError`` where MANO's file is needed.
-    """
+    """Read the hands of a file of MANO parameters. Raises ``InputError``, and ``UsageError`` without MANO's file."""
     t = record_numbers(path, record, "transl", (-1, 3))
     T = len(t)
     R = to_rotation_matrices(path, "global_orient", record_numbers(path, record, "global_orient", (T, 3), (T, 3, 3)), 1)
@@ -90,18 +84,17 @@ def read_mano_parameters(
     else:
         counts = range(1, 46)
         values = record_numbers(path, record, "hand_pose", *((T, count) for count in counts))
-    return [
-        HandParameters(*each) for each in zip(R, _pose_from_flat(values, encoding, mean, model), betas, t, strict=True)
-    ]
+    poses = _pose_from_flat(values, encoding, mean, model)
+    return [HandParameters(*each) for each in zip(R, poses, betas, t, strict=True)]
 
 
 def _pose_from_flat(
     values: Float[ndarray, "T P"], encoding: Encoding, mean: Mean, model: Mano | None
 ) -> Float[ndarray, "T 45"]:
-    """Poses as rotation vectors relative to the flat hand [rad]."""
+    """Convert poses to rotation vectors relative to the flat hand [rad]."""
     if encoding != "pca" and mean == "flat":
         return values
     if model is None:
         what = "principal components" if encoding == "pca" else "the mean pose"
-        raise MissingOptionError(f"missing --mano: the folder of your MANO files: {what} stand in them")
+        raise MissingOptionError(f"missing --mano: the folder of your MANO files, for {what}")
     return model.pose(values, "pca" if encoding == "pca" else "axis_angle", flat_hand_mean=mean == "flat")

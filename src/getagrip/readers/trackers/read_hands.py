@@ -1,8 +1,7 @@
-"""Estimators' files to the hand of a clip, checked, with its provenance.
+"""The hand of a clip from a tracker's files: ``read_tracked_hands``, with the hand's provenance.
 
-Plain joints that are no hand in the order and of the side that are stated, or not before the camera.
-
-From an estimator's numbers to surfaces: MANO's where the user has it, the generic hand's where not.
+Three steps: plain joints are checked for their order, side and position before the camera; parameters or joints become
+a surface, MANO's where the user has MANO's files, else the generic hand's; of several hands in a frame, one is chosen.
 """
 
 from __future__ import annotations
@@ -38,23 +37,24 @@ from getagrip.hands.model import (
 from getagrip.io import arrays
 from getagrip.io.images import read_png
 from getagrip.provenance import EXTRAPOLATED_HANDS_KEY, Provenance, Source, assumed, estimated, join_sources
-from getagrip.readers.trackers.estimates import ONE_CAMERA_NOTE, Estimate, Estimates, Request
+from getagrip.readers.datasets.mano_tracks import load_mano_hand
+from getagrip.readers.trackers.estimates import ONE_CAMERA_NOTE, OPPOSITE_SIDE, Estimate, Estimates, Request
 from getagrip.readers.trackers.records import list_record_files
 from getagrip.readers.trackers.tracker import Tracker
 
 Order = Literal[JointOrder, "auto"]
 
 MAX_JOINT_MISFIT_M = 0.010
-"""Joints so far from every pose of a hand [m, root mean square] are noise, or no hand's. The right ones of datasets
-leave 2 mm, noise of 10 mm leaves 12 mm, another order 30 mm and more."""
+"""Maximum distance of joints from the nearest pose of a hand [m, root mean square]. Datasets' joints are 2 mm off,
+joints with noise of 10 mm 12 mm off, joints in another order 30 mm and more."""
 EXACT_JOINT_MISFIT_M = 0.003
-"""Joints within this distance [m, root mean square] give no warning."""
+"""Joint misfit below which other orders and sides are not tried [m, root mean square]."""
 CERTAIN_MISFIT_RATIO, POSSIBLE_MISFIT_RATIO = 0.5, 0.85
-"""Another order or side whose misfit is less than this part of the stated one's is the right one, or may be."""
+"""Ratios of another order's or side's misfit to the stated one's below which it is certainly, or possibly, right."""
 MIN_JOINT_DISTANCE_M = 0.05
-"""No joint is as near to a camera [m]."""
+"""Minimum distance of a joint from the camera [m]."""
 N_ORDER_TEST_FRAMES = 5
-"""Frames of which orders are tried."""
+"""Number of frames in which orders and sides are tried."""
 
 
 class Ordered(NamedTuple):
@@ -62,13 +62,13 @@ class Ordered(NamedTuple):
 
     joints: Float[ndarray, "T 21 3"]
     chosen: str
-    """How their order was chosen, in words; empty where it was stated."""
+    """How the order was chosen, in words; empty for a stated order."""
     warning: str
-    """A warning about the joints, in words; empty where there is none."""
+    """A warning about the joints, in words; empty without one."""
 
 
 def check_before_camera(path: Path, joints: Float[ndarray, "T 21 3"]) -> None:
-    """Raise ``InputError`` for hands behind the camera or about it, as of joints relative to the wrist."""
+    """Raise ``InputError`` for hands behind or around the camera, as of joints relative to the wrist."""
     z, nearest = joints[..., 2].mean(axis=1), np.linalg.norm(joints, axis=-1).min(axis=1)
     wrong = (z <= 0) | (nearest < MIN_JOINT_DISTANCE_M)
     if wrong.any():
@@ -79,9 +79,9 @@ def check_before_camera(path: Path, joints: Float[ndarray, "T 21 3"]) -> None:
 
 
 def reorder_joints(path: Path, joints: Float[ndarray, "T 21 3"], order: Order, side: Side) -> Ordered:
-    """Return joints (T, 21, 3) [m] in an order that is stated, or that is found by the hand that fits.
+    """Return joints (T, 21, 3) [m] in this package's order, from a stated order or, ``auto``, the best-fitting one.
 
-    Raises ``InputError`` for joints that another order or the other side fits clearly better.
+    Raises ``InputError`` for joints that fit another order or the other side clearly better.
     """
     some = joints[np.unique(np.linspace(0, len(joints) - 1, N_ORDER_TEST_FRAMES).astype(int))]
     if order == "auto":
@@ -97,18 +97,13 @@ def reorder_joints(path: Path, joints: Float[ndarray, "T 21 3"], order: Order, s
 
 
 def _order_warning(path: Path, some: Float[ndarray, "T 21 3"], order: JointOrder, side: Side, off: float) -> str:
-    """Which other order or side may fit better, in words. Raises ``InputError`` where one clearly does."""
+    """Describe another order or side that may fit better. Raises ``InputError`` where one clearly does."""
     if off < EXACT_JOINT_MISFIT_M:
         return ""
-    mirrored: Side = "left" if side == "right" else "right"
-    others = {
-        (o, s): joint_misfit(some, o, s) for o in JOINT_ORDERS for s in (side, mirrored) if (o, s) != (order, side)
-    }
-    (other, of), best = min(others.items(), key=lambda item: item[1])
-    if best > POSSIBLE_MISFIT_RATIO * off or (
-        off == np.inf and best > MAX_JOINT_MISFIT_M
-    ):  # what cannot be fitted has an error of its own
-        return ""
+    others = [(o, s) for o in JOINT_ORDERS for s in (side, OPPOSITE_SIDE[side]) if (o, s) != (order, side)]
+    best, (other, of) = min(((joint_misfit(some, o, s), (o, s)) for o, s in others), key=lambda item: item[0])
+    if best > POSSIBLE_MISFIT_RATIO * off or (off == np.inf and best > MAX_JOINT_MISFIT_M):
+        return ""  # joints that cannot be fitted have an error of their own
     is_order = f"--order {other} fits, {_mm(best)} off"
     is_side = f"a {of} hand{'' if other == order else f' in --order {other}'} fits, {_mm(best)} off"
     fits = is_order if of == side else f"{is_side}: are they the other hand's, or mirrored (an axis reversed)?"
@@ -119,10 +114,7 @@ def _order_warning(path: Path, some: Float[ndarray, "T 21 3"], order: JointOrder
 
 
 def joint_misfit(joints: Float[ndarray, "T 21 3"], order: JointOrder, side: Side) -> float:
-    """Compute the distance of joints in an order from the nearest hand [m, root mean square].
-
-    Infinite where there is none.
-    """
+    """Compute the distance of joints in an order from the nearest hand [m, root mean square]; infinite without one."""
     try:
         fit = fit_joints(generic.load(side), joints[:, JOINT_ORDERS[order]], "openpose")
     except UsageError:
@@ -134,30 +126,28 @@ def _mm(metres: float) -> str:
     return "far" if metres == np.inf else f"{1e3 * metres:.1f} mm"
 
 
-MANO_FILE_NAMES: dict[Side, str] = {"left": "MANO_LEFT.pkl", "right": "MANO_RIGHT.pkl"}
 MAX_VERTEX_RMS_M = 0.03
-"""Vertices so far from an estimator's own [m, root mean square] are another pose, not another shape."""
+"""Maximum distance of MANO's vertices from the estimator's [m, root mean square] that another shape explains."""
 
 
 def load_mano(folder: Path | None, side: Side) -> mano.Mano | None:
     """Load the user's MANO hand of a side; None without a folder. Raises ``InputError``."""
-    return None if folder is None else mano.load(folder / MANO_FILE_NAMES[side], side)
+    return None if folder is None else load_mano_hand(folder, side)
 
 
 def estimates_to_track(estimates: Estimates, folder: Path | None) -> tuple[HandTrack, str]:
-    """Return the hand in every frame, and a text that says which model it is.
+    """Return the hand in every frame, and a description of its model.
 
-    With a ``folder`` of MANO files and MANO's parameters it is MANO's hand. Else it is the generic hand: fitted to the
-    joints where the estimator gives them, turned like the estimator's where not. Raises ``InputError``.
+    With a ``folder`` of MANO files and MANO's parameters, MANO's hand; else the generic hand, fitted to the estimator's
+    joints, or without joints in the estimator's rotation. Raises ``InputError``.
     """
     side, hands = estimates.side, estimates.hands
     joints = [hand.joints for hand in hands if hand.joints is not None]
     parameters = [hand.mano for hand in hands if hand.mano is not None]
     vertices = [hand.vertices for hand in hands if hand.vertices is not None]
     if folder is not None and not parameters and len(vertices) == len(hands):
-        return make_mano_track(
-            network_model(side, folder), np.array(vertices), np.array(joints)
-        ), "MANO's vertices as saved"
+        track = make_mano_track(network_model(side, folder), np.array(vertices), np.array(joints))
+        return track, "MANO's vertices as saved"
     if len(joints) == len(hands) and (folder is None or not parameters):
         return fit_generic_hand(hands[0].path, side, np.array(joints))
     R, pose, betas, t = (np.array(values) for values in zip(*parameters, strict=True))
@@ -166,10 +156,10 @@ def estimates_to_track(estimates: Estimates, folder: Path | None) -> tuple[HandT
         posed, root = shaped.with_pose(pose), shaped.joints[0]
         what = "the generic hand of mean size, turned as the estimator's MANO hand: not its surface"
     elif side == "left" and estimates.left_model == "mirrored":
-        posed, root = _mirror_right_hand(mano.load(folder / MANO_FILE_NAMES["right"], "right").model, betas, pose)
+        posed, root = _mirror_right_hand(load_mano_hand(folder, "right").model, betas, pose)
         what = "MANO's right hand mirrored, as the estimator has it"
     else:
-        shaped = mano.load(folder / MANO_FILE_NAMES[side], side).model.with_shape(betas)
+        shaped = load_mano_hand(folder, side).model.with_shape(betas)
         posed, root = shaped.with_pose(pose), shaped.joints[:, 0]
         what = f"MANO's {side} hand"
     T_cam_hand = root_transform(R, t, root)
@@ -179,25 +169,24 @@ def estimates_to_track(estimates: Estimates, folder: Path | None) -> tuple[HandT
 
 
 def make_mano_track(model: HandModel, vertices: Float[ndarray, "T V 3"], joints: Float[ndarray, "T 21 3"]) -> HandTrack:
-    """Make the hand of MANO's vertices and its joints before the camera [m]."""
+    """Make the hand of MANO's vertices and joints before the camera [m]."""
     T_cam_hand = mano_motions(model, vertices)[:, 0]
     inside = se3.inverse(T_cam_hand)
-    posed = PosedHand(
-        model.side, se3.transform(inside, vertices), model.faces, se3.transform(inside, joints), model.regions
-    )
+    joints = se3.transform(inside, joints)
+    posed = PosedHand(model.side, se3.transform(inside, vertices), model.faces, joints, model.regions)
     return hand_track(posed, T_cam_hand)
 
 
 def network_model(side: Side, folder: Path) -> HandModel:
-    """Return the hand of networks that know right hands only: MANO's right one, or its mirror image."""
-    right = mano.load(folder / MANO_FILE_NAMES["right"], "right").model
+    """Return the hand of networks trained on right hands: MANO's right hand, or its mirror image."""
+    right = load_mano_hand(folder, "right").model
     return right if side == "right" else mirrored_model(right)
 
 
 def mano_motions(model: HandModel, vertices: Float[ndarray, "*n V 3"]) -> Float[ndarray, "*n 16 4 4"]:
     """Fit the rigid motion of each part of a hand from rest to its vertices (least squares).
 
-    A part's vertices are those that follow its joint by more than half of their weight.
+    A part's vertices have more than half of their weight on its joint.
     """
     weights = np.where(model.weights > 0.5, model.weights, 0.0).T
     weights = weights / weights.sum(axis=1, keepdims=True)
@@ -208,7 +197,7 @@ def mano_motions(model: HandModel, vertices: Float[ndarray, "*n V 3"]) -> Float[
 
 
 def mano_joints(model: HandModel, vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "21 3"]:
-    """Compute the 21 joints of a hand of which only the surface is known, each moved with its part."""
+    """Compute the 21 joints of a hand from its surface, each moved with its part."""
     at = se3.transform(mano_motions(model, vertices), model.joints[:, None])[:, 0]
     return np.concatenate([at, vertices[model.tips]])[ORDER_21]
 
@@ -231,25 +220,19 @@ def generic_joints(side: Side, R: Float[ndarray, "3 3"], pose: Float[ndarray, "4
 def _mirror_right_hand(
     model: HandModel, betas: Float[ndarray, "T 10"], pose: Float[ndarray, "T 45"]
 ) -> tuple[PosedHand, Float[ndarray, "T 3"]]:
-    """Return a right hand's mirror image, and its root joint."""
     shaped = model.with_shape(betas)
     posed = shaped.with_pose(mirrored_pose(pose))
-    left = replace(
-        posed,
-        side="left",
-        vertices=mirrored(posed.vertices),
-        faces=posed.faces[:, ::-1].copy(),
-        joints=mirrored(posed.joints),
-    )
+    vertices, joints, faces = mirrored(posed.vertices), mirrored(posed.joints), posed.faces[:, ::-1].copy()
+    left = replace(posed, side="left", vertices=vertices, faces=faces, joints=joints)
     return left, mirrored(shaped.joints[:, 0])
 
 
 def _align_to_vertices(
     estimates: Estimates, posed: PosedHand, T_cam_hand: Float[ndarray, "T 4 4"]
 ) -> Float[ndarray, "T 4 4"]:
-    """MANO's hands moved such that the means of their vertices are where those of the estimator's are.
+    """Move MANO's hands such that the means of their vertices match the estimator's vertices.
 
-    Raises ``InputError`` where the vertices then still are far from the estimator's.
+    Raises ``InputError`` for moved vertices that are far from the estimator's.
     """
     value = np.array([hand.vertices for hand in estimates.hands])
     ours = se3.transform(T_cam_hand, posed.vertices)
@@ -257,32 +240,32 @@ def _align_to_vertices(
     off = np.sqrt(np.mean(np.sum((ours + shift[:, None] - value) ** 2, axis=-1), axis=1))
     if off.max() > MAX_VERTEX_RMS_M:
         worst = estimates.hands[int(np.argmax(off))]
-        input_words = f"vertices {1e3 * off.max():.0f} mm from MANO's in the same pose"
-        raise InputError(worst.path, "pred_vertices_smpl", input_words, "the hand of pred_hand_pose")
+        got = f"vertices {1e3 * off.max():.0f} mm from MANO's in the same pose"
+        raise InputError(worst.path, "pred_vertices_smpl", got, "the hand of pred_hand_pose")
     return se3.rigid(None, shift) @ T_cam_hand
 
 
 CHOSEN_HANDS_KEY = "hands_chosen"
-"""Key of a clip's provenance: which hand was taken where there were several."""
+"""Key of a clip's provenance: how one of several hands in a frame was chosen."""
 MIN_HAND_MASK_MARGIN = 0.1
-"""So much more of a hand [its points] is in the mask than of any other, where the mask tells which it is."""
+"""Minimum difference of the best and second hand's fractions of points in the hand mask by which the mask decides."""
 
 
 @dataclass(frozen=True)
 class TrackedHands:
-    """The hand in the frames in which it was found, and where it comes from."""
+    """The hand in the frames in which it was found, and its provenance."""
 
     track: HandTrack
     found: tuple[int, ...]
-    """These frames, rising, as indices into those of the ``Request``."""
+    """Rising indices of these frames among the frames of the ``Request``."""
     provenance: Provenance
     warnings: tuple[str, ...] = ()
-    """Warnings about it, in words."""
+    """Warnings about the hand, in words."""
 
     def extrapolate_to_ends(self, frames: Sequence[str]) -> TrackedHands:
         """Keep the hand still, as an assumption, before the first and after the last frame in which it was found.
 
-        ``frames`` are the names of those of the ``Request``. Frames between two hands stay without one.
+        ``frames`` are the names of the frames of the ``Request``. Gaps between two frames with a hand stay.
         """
         first, last = self.found[0], self.found[-1]
         ends = [end for end in (range(first), range(last + 1, len(frames))) if end]
@@ -299,8 +282,8 @@ class TrackedHands:
 def read_tracked_hands(paths: Sequence[Path], tracker: Tracker, request: Request) -> TrackedHands:
     """Read the hand of one side in some frames of a clip.
 
-    ``paths`` are files, folders of them, or patterns (``out/*.npz``). Raises as ``Tracker.read`` does, and
-    ``InputError`` where there is no such file or hand, or none that can be one.
+    ``paths`` are files, folders of files, or patterns (``out/*.npz``). Raises as ``Tracker.read`` does, and
+    ``InputError`` for missing files, without a hand of the side, and for an impossible hand.
     """
     paths = list_record_files(paths, tracker.layouts)
     with arrays.convert_to_input_errors(paths[0]):
@@ -310,8 +293,8 @@ def read_tracked_hands(paths: Sequence[Path], tracker: Tracker, request: Request
 def _read_estimates(paths: Sequence[Path], tracker: Tracker, request: Request) -> TrackedHands:
     estimates = tracker.read(paths, request)
     if not estimates.hands:
-        other = "left" if request.side == "right" else "right"
         got = f"no {request.side} hand in the clip's frames, in {len(paths)} files"
+        other = OPPOSITE_SIDE[request.side]
         raise InputError(paths[0], "", got, f"one; or is it the {other} hand that holds the object?")
     hands, chosen = choose_frame_hands(estimates.hands, request)
     depths = join_sources(hand.depth for hand in hands)
@@ -321,7 +304,7 @@ def _read_estimates(paths: Sequence[Path], tracker: Tracker, request: Request) -
         seen = np.array([np.zeros((21, 3)) if hand.seen is None else hand.seen for hand in hands])
         made = replace(made, joints_2d=seen[..., :2], joints_2d_confidence=seen[..., 2])
     first = estimates.hands[0]
-    if first.mano is not None:  # a hand fitted to plain joints has a hand's size; whether it is in view, callers check
+    if first.mano is not None:  # a hand fitted to plain joints has a hand's size; callers check that it is in view
         check_in_hand(first.path, "betas", made.vertices, "a hand")
         check_poses(first.path, "T_cam_hand", made.T_cam_hand, made.vertices.mean(axis=1), "the hand")
     size = "MANO's shape parameters, as estimated" if request.mano else "the estimator's joints, or the mean hand"
@@ -338,29 +321,25 @@ def _read_estimates(paths: Sequence[Path], tracker: Tracker, request: Request) -
 
 
 def _joint_misfit_warning(estimates: Estimates, made: HandTrack) -> str:
-    """Words for joints that are far from those of the hand that was fitted to them; empty where they are not."""
+    """Describe joints far from the joints of the fitted hand; empty where they fit."""
     value = [hand.joints for hand in estimates.hands if hand.joints is not None]
     if len(value) < len(estimates.hands) or made.joints is None:
         return ""
     apart = se3.transform(made.T_cam_hand, made.joints) - np.array(value)
     off = float(np.sqrt(np.mean(np.sum(apart**2, axis=-1))))
-    causes = "noise, another order, another skeleton, or depths that are not in metres"
-    return (
-        ""
-        if off <= MAX_JOINT_MISFIT_M
-        else f"joints {1e3 * off:.1f} mm off every pose of a hand (root mean square): {causes}"
-    )
+    causes = "noise, another order, another skeleton, or depths not in metres"
+    if off <= MAX_JOINT_MISFIT_M:
+        return ""
+    return f"joints {1e3 * off:.1f} mm off every pose of a hand (root mean square): {causes}"
 
 
 def choose_frame_hands(hands: Sequence[Estimate], request: Request) -> tuple[list[Estimate], Source | None]:
-    """Choose one hand in each frame, in the order of frames; also return how, None where there was no choice.
+    """Choose one hand in each frame, in the order of frames; also return the reasons, None without a choice.
 
-    An estimator may find the same hand twice, or somebody else's.
-
-    Where the clip has the hand's masks, it is the one of which most is in the mask. Where these do not tell, it is the
-    one nearest in the image to the hand of the frame before, or of the frame after where none before is known; frames
-    with one hand are known. Where every frame has several, these are followed from the first frame on, and the one that
-    is largest in the images is taken.
+    An estimator may find the same hand twice, or another person's hand. The hand mask decides where the clip has one
+    and the hands' fractions in it differ enough. Otherwise the hand nearest in the image to the previous frame's hand
+    is chosen, or to the next frame's where no previous one is known; frames with one hand are known. If all frames have
+    several hands, each is followed from the first frame on, and the largest in the images is chosen.
     """
     found: dict[int, list[Estimate]] = {}
     for hand in hands:
@@ -387,7 +366,7 @@ def choose_frame_hands(hands: Sequence[Estimate], request: Request) -> tuple[lis
 
 
 def _propagate_choice(seen: dict[int, list[Float[ndarray, "N 2"]]], known: dict[int, int]) -> dict[int, int]:
-    """Which hand it is in each frame, from the frames in which it is ``known``: on to later ones, then to earlier."""
+    """Choose the hand in each frame from the ``known`` frames: on to later frames, then to earlier ones."""
     rows, frames = dict(known), sorted(seen)
     first = next(n for n, frame in enumerate(frames) if frame in known)
     onwards, back = range(first + 1, len(frames)), range(first - 1, -1, -1)
@@ -400,18 +379,21 @@ def _propagate_choice(seen: dict[int, list[Float[ndarray, "N 2"]]], known: dict[
 
 
 def _choose_by_mask(seen: Sequence[Float[ndarray, "N 2"]], frame: int, request: Request) -> int | None:
-    """Return the hand with the largest part in the hand's mask; None where there is no mask, or it does not decide."""
+    """Return the hand with the largest fraction in the hand mask; None without a mask, or where it does not decide."""
     path = request.hand_masks[frame] if request.hand_masks else None
     if path is None:
         return None
+    inside = [fraction_in_mask(path, points, request) for points in seen]
+    second, best = sorted(inside)[-2:]
+    return int(np.argmax(inside)) if best - second > MIN_HAND_MASK_MARGIN else None
+
+
+def fraction_in_mask(path: Path, points: Float[ndarray, "N 2"], request: Request) -> float:
+    """Compute the fraction of points [px] that are inside a hand mask. Raises ``InputError``."""
     mask = read_png(path, request.size) != 0
-    shares = []
-    for points in seen:
-        u, v = np.floor(points).astype(int).T
-        inside = (u >= 0) & (v >= 0) & (u < request.size[0]) & (v < request.size[1])
-        shares.append(float(np.mean(inside & mask[np.where(inside, v, 0), np.where(inside, u, 0)])))
-    second, best = sorted(shares)[-2:]
-    return int(np.argmax(shares)) if best - second > MIN_HAND_MASK_MARGIN else None
+    u, v = np.floor(points).astype(int).T
+    inside = (u >= 0) & (v >= 0) & (u < request.size[0]) & (v < request.size[1])
+    return float(np.mean(inside & mask[np.where(inside, v, 0), np.where(inside, u, 0)]))
 
 
 def _project_hand(hand: Estimate, request: Request) -> Float[ndarray, "N 2"]:

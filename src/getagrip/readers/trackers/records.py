@@ -1,6 +1,6 @@
-"""Estimators' files as dictionaries of numbers, whatever container they came in. Nothing in them is ever run.
+"""Trackers' files as records, dictionaries of arrays, from any container and without running code; their recognition.
 
-Recognition of whose hands files are, by their names and keys: every tracker says what it knows.
+``recognise`` finds the tracker of some files by their names and keys.
 """
 
 from __future__ import annotations
@@ -20,35 +20,36 @@ from numpy import ndarray
 
 from getagrip.errors import InputError, MissingOptionError, UsageError
 from getagrip.io import arrays, files, pickles, plugins
+from getagrip.io.files import shorten_value
 
 if TYPE_CHECKING:
     from getagrip.readers.trackers.tracker import Tracker
 
 Record = Mapping[str, Any]
-"""Arrays, numbers, texts, lists and further records by name."""
+"""Arrays, numbers, texts, lists and nested records by name."""
 RECORD_SUFFIXES = (".npz", ".npy", ".json", ".pkl", ".pickle", ".pt", ".pth")
 RECORD_MESH_SUFFIXES = (".obj",)
 RECORD_IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 JOBLIB_COMPRESSION_MAGIC = (b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x1f\x8b", b"BZh", b"\xfd7zXZ")
-"""How files begin that joblib has compressed."""
+"""First bytes of files compressed by joblib."""
 HAWOR_CONVERSION_COMMAND = (
     "import joblib, numpy as np; keys = 'pred_trans pred_rot pred_hand_pose pred_betas pred_valid'.split(); "
     "np.savez('world_space_res.npz', **{k: np.asarray(v) for k, v in zip(keys, joblib.load('world_space_res.pth'))})"
 )
-"""Makes an ``.npz`` of HaWoR's hands in the world."""
+"""Python code that converts HaWoR's hands in the world to ``.npz``."""
 PEOPLE_KEY = "people"
-"""Key of the records of several hands, where a file holds nothing but a list of these."""
+"""Key of the records of several hands, for files that are a list of records."""
 MAX_RECORD_BYTES = 256 * 2**20
-"""Bytes of the largest ``.npy`` or ``.pt`` file, unpacked."""
+"""Maximum unpacked size of a ``.npy`` or ``.pt`` file."""
 MAX_RECORD_VALUE = 1e7
-"""No pixel, metre or radian is as large."""
+"""Maximum absolute value in pixels, metres or radians."""
 
 
 def list_record_files(paths: Sequence[Path], layouts: Sequence[str] = ()) -> list[Path]:
-    """List the files that paths stand for: those in a folder of a known suffix, or those that match a pattern.
+    """List the files of some paths: files, folders (files of known suffixes), or patterns.
 
-    ``layouts`` are patterns below a folder by which a program lays its files out; they come first. Raises
-    ``InputError`` for a path that stands for none.
+    ``layouts`` are patterns of a program's files below a folder, which take precedence. Raises ``InputError`` for paths
+    without files.
     """
     known = (*RECORD_SUFFIXES, *RECORD_MESH_SUFFIXES)
     found: list[Path] = []
@@ -56,12 +57,11 @@ def list_record_files(paths: Sequence[Path], layouts: Sequence[str] = ()) -> lis
         if path.is_dir():
             files_of = _match_layouts(path, layouts) or files.list_files(path, known)
             if not files_of:
-                raise InputError(
-                    path, "", "a folder without such a file", f"files of an estimator ({', '.join(known)})"
-                )
+                expected = f"files of an estimator ({', '.join(known)})"
+                raise InputError(path, "", "a folder without such a file", expected)
         elif path.exists():
             files_of = [path]
-        else:  # a shell leaves a pattern as it is where nothing matches
+        else:  # a shell passes on a pattern that matches nothing
             files_of = sorted(Path(name) for name in glob.glob(str(path)) if not Path(name).name.startswith("."))
             got = "a pattern that matches no file" if glob.has_magic(str(path)) else "no such file or folder"
             if not files_of:
@@ -71,7 +71,7 @@ def list_record_files(paths: Sequence[Path], layouts: Sequence[str] = ()) -> lis
 
 
 def _match_layouts(folder: Path, layouts: Sequence[str]) -> list[Path]:
-    """List the files of the first pattern that matches any below a folder; links out of it are passed over."""
+    """List the files of the first matching pattern below a folder, without links out of the folder."""
     root = folder.resolve()
     for pattern in layouts:
         found = files.list_files(folder, pattern=pattern)
@@ -83,10 +83,9 @@ def _match_layouts(folder: Path, layouts: Sequence[str]) -> list[Path]:
 def read_tracker_record(path: Path) -> Record:
     """Read the content of a file.
 
-    A bare ``.npy`` array becomes a record with the one key ``joints``, a list of records, as of the hands in one image,
-    one with the key ``PEOPLE_KEY``.
-
-    Raises ``InputError`` for damaged, hostile and absurdly large files, ``UsageError`` for ``.pt`` without torch.
+    A ``.npy`` array becomes a record with the key ``joints``; a list of records, as of the hands in an image, one with
+    the key ``PEOPLE_KEY``. Raises ``InputError`` for malformed, hostile and too large files, ``UsageError`` for ``.pt``
+    without torch.
     """
     suffix = path.suffix.lower()
     if suffix in {".pkl", ".pickle", ".pt", ".pth"}:
@@ -102,11 +101,11 @@ def read_tracker_record(path: Path) -> Record:
         return _read_torch(path)
     if suffix == ".npy":
         return {"joints": arrays.parse_npy(path, "", files.read_bytes(path, MAX_RECORD_BYTES))}
-    raise InputError(path, "", f"the suffix {files.shorten_value(path.suffix)}", f"one of {', '.join(RECORD_SUFFIXES)}")
+    raise InputError(path, "", f"the suffix {shorten_value(path.suffix)}", f"one of {', '.join(RECORD_SUFFIXES)}")
 
 
 def _check_not_joblib(path: Path) -> None:
-    """Raise ``InputError`` for a file of ``joblib.dump``, which names its own classes and is no file of torch."""
+    """Raise ``InputError`` for a file of ``joblib.dump``, whatever its suffix."""
     content = files.read_bytes(path, MAX_RECORD_BYTES)
     if b"joblib.numpy_pickle" in content or content.startswith(JOBLIB_COMPRESSION_MAGIC):
         plain = f"{path.stem}_plain.pkl"
@@ -117,13 +116,13 @@ def _check_not_joblib(path: Path) -> None:
 
 
 def records_by_image(record: Record) -> Record:
-    """Return the content of each image by its path, where a dictionary's keys are paths; else nothing."""
+    """Return a record whose keys are paths of images; an empty one for other records."""
     named = all(isinstance(key, str) and Path(key).suffix.lower() in RECORD_IMAGE_SUFFIXES for key in record)
     return record if named else {}
 
 
 def _read_torch(path: Path) -> Record:
-    """Read a file of ``torch.save``, tensors only: torch's own safe reader refuses code."""
+    """Read a file of ``torch.save`` with torch's safe reader, which refuses anything but tensors."""
     try:
         import torch
     except ModuleNotFoundError as error:
@@ -133,7 +132,7 @@ def _read_torch(path: Path) -> Record:
         ) from error
     content = files.read_bytes(path, MAX_RECORD_BYTES)
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:  # older files than torch 1.6's are no zip archives
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:  # torch before 1.6 wrote other archives
             unpacked = sum(member.file_size for member in archive.infolist())
         if unpacked > MAX_RECORD_BYTES:
             raise InputError(path, "", f"tensors of {unpacked} bytes", f"at most {MAX_RECORD_BYTES}")
@@ -156,7 +155,6 @@ def _read_torch(path: Path) -> Record:
 
 
 def _to_record(path: Path, content: object) -> Record:
-    """Convert a file's content to a record. Raises ``InputError``."""
     if isinstance(content, list) and all(isinstance(each, Mapping) for each in content):
         return {PEOPLE_KEY: content}
     if not isinstance(content, Mapping):
@@ -168,10 +166,9 @@ def _to_record(path: Path, content: object) -> Record:
 def record_numbers(
     path: Path, record: Record, key: str, *shapes: tuple[int, ...], of: str = ""
 ) -> Float[ndarray, "..."]:
-    """Check that an array is finite and fits one of the shapes, axes of length 1 apart, and give it that shape.
+    """Return a finite array in the first of some shapes that it fits, except for axes of length 1.
 
-    A length of -1 stands for any above 0. ``of`` names the record where it stands in another one. Raises
-    ``InputError``.
+    A length of -1 stands for any length above 0. ``of`` names a nested record. Raises ``InputError``.
     """
     name = f"{of}.{key}" if of else key
     if key not in record:
@@ -179,7 +176,7 @@ def record_numbers(
     value = arrays.from_lists(record[key])
     expected = " or ".join(str(shape).replace("-1", "any") for shape in shapes)
     if value is None or value.dtype.kind not in "fiub":
-        raise InputError(path, name, files.shorten_value(record[key]), f"numbers of shape {expected}")
+        raise InputError(path, name, shorten_value(record[key]), f"numbers of shape {expected}")
     for shape in shapes:
         if (fitted := _reshape_if_fits(value, shape)) is not None:
             array = arrays.floats(path, {name: fitted}, name, fitted.shape, kinds="fiub")
@@ -190,7 +187,7 @@ def record_numbers(
 
 
 def _reshape_if_fits(value: ndarray, shape: tuple[int, ...]) -> ndarray | None:
-    """Return the array in a shape; None where it has another one, axes of length 1 apart."""
+    """Return an array in a shape; None for another shape, except for axes of length 1."""
     if value.size == 0:
         return None
     squeezed = [n for n in value.shape if n != 1]
@@ -202,25 +199,25 @@ def _reshape_if_fits(value: ndarray, shape: tuple[int, ...]) -> ndarray | None:
 
 
 def child(path: Path, record: Record, key: str) -> Record:
-    """Return a record within a record. Raises ``InputError``."""
+    """Return a nested record. Raises ``InputError``."""
     value = record.get(key)
     if not isinstance(value, Mapping):
-        got = "no such key" if key not in record else files.shorten_value(value)
+        got = "no such key" if key not in record else shorten_value(value)
         raise InputError(path, key, got, "a dictionary")
     return value
 
 
 def seen_joints(path: Path, record: Record, *leading: int) -> Float[ndarray, "*leading 21 3"] | None:
-    """Read ``joints_2d`` of a record [px of the clip's images], in this package's order.
+    """Read ``joints_2d`` of a record [px of the clip's images] with confidence, in this package's order.
 
-    They are (21, 2), or (21, 3) with the confidence; ``joints_2d_confidence`` (21) may be apart. Zeros where a joint
-    was not seen. Nothing without the key. Raises ``InputError``.
+    (21, 2), or (21, 3) with the confidence; ``joints_2d_confidence`` (21) is optional. Unseen joints are 0. None
+    without the key. Raises ``InputError``.
     """
     if "joints_2d" not in record:
         return None
     value = arrays.from_lists(without_none(record["joints_2d"]))
     if value is None or value.dtype.kind not in "fiu" or value.shape not in {(*leading, 21, 2), (*leading, 21, 3)}:
-        given = files.shorten_value(record["joints_2d"]) if value is None else f"the shape {value.shape}"
+        given = shorten_value(record["joints_2d"]) if value is None else f"the shape {value.shape}"
         raise InputError(path, "joints_2d", given, f"numbers of shape {(*leading, 21, 2)}, or 3 with the confidence")
     value = value.astype(float)
     there = np.isfinite(value).all(axis=-1)
@@ -234,41 +231,42 @@ def seen_joints(path: Path, record: Record, *leading: int) -> Float[ndarray, "*l
 
 
 def without_none(value: object) -> object:
-    """Replace missing values, JSON's null, by NaN in lists."""
+    """Replace null by NaN in nested lists."""
     if isinstance(value, list):
         return [without_none(item) for item in value]
     return np.nan if value is None else value
 
 
 MAX_KEY_DEPTH = 5
-"""Dictionaries and lists below each other in which keys are looked for."""
+"""Maximum depth of collected keys."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One of the files, as an example of all."""
+    """A file as an example of all files."""
 
     path: Path
 
     @cached_property
     def record(self) -> Record:
-        """Its content; empty for a format that holds no record."""
+        """The file's record; empty for other formats."""
         return read_tracker_record(self.path) if self.path.suffix.lower() in RECORD_SUFFIXES else {}
 
     @cached_property
     def keys(self) -> frozenset[str]:
-        """All of its keys, those of the first record in a list included."""
+        """All keys of the file, including those of the first record in a list."""
         return frozenset(_collect_keys(self.record, MAX_KEY_DEPTH))
 
     def has(self, *keys: str) -> bool:
-        """Return whether it has all of these keys."""
+        """Return whether the file has all of some keys."""
         return self.keys.issuperset(keys)
 
 
 def recognise(paths: Sequence[Path], trackers: Mapping[str, Tracker]) -> tuple[str, str]:
-    """Return the name of the tracker whose files these are, and what they are, in words.
+    """Return the name of the files' tracker, and a description of the files.
 
-    Raises ``InputError`` where none recognises them, with what each looks for, and ``UsageError`` where several do.
+    Raises ``InputError`` for unknown files, with the names and keys of known ones, and ``UsageError`` for files that
+    several trackers recognise.
     """
     found = {name: words for name, tracker in trackers.items() if (words := _describe_recognition(paths, tracker))}
     if len(found) == 1:
@@ -277,13 +275,13 @@ def recognise(paths: Sequence[Path], trackers: Mapping[str, Tracker]) -> tuple[s
         each = ", ".join(f"--from {name} ({words})" for name, words in found.items())
         raise MissingOptionError(f"missing --from: {paths[0]} may be of several programs: {each}")
     keys = sorted(_first_sample(paths).keys) if paths[0].exists() else []
-    got = f"keys {files.shorten_value(', '.join(keys))[1:-1]}" if keys else "names that are of no known program"
+    got = f"keys {shorten_value(', '.join(keys))[1:-1]}" if keys else "names of no known program"
     known = "; ".join(f"{name}: {tracker.looks_for}" for name, tracker in trackers.items() if tracker.looks_for)
-    raise InputError(paths[0], "", got, f"files of a program that is known, or --from NAME; looked for {known}")
+    raise InputError(paths[0], "", got, f"files of a known program, or --from NAME; looked for {known}")
 
 
 def _describe_recognition(paths: Sequence[Path], tracker: Tracker) -> str:
-    """Return what a tracker takes files for, in words; empty where they are not its own."""
+    """Return a tracker's description of some files; empty for files of other programs."""
     try:
         found = list_record_files(paths, tracker.layouts)
     except InputError:
@@ -295,12 +293,11 @@ def _describe_recognition(paths: Sequence[Path], tracker: Tracker) -> str:
 
 
 def _first_sample(paths: Sequence[Path]) -> Sample:
-    """Return the first file, for an error; a folder stands for itself."""
     return Sample(next((path for path in paths if path.is_file()), None) or list_record_files(paths)[0])
 
 
 def _collect_keys(content: object, depth: int) -> set[str]:
-    """Collect keys; those of one record stand for all in a list, or in a dictionary by images."""
+    """Collect keys to a depth; one record represents a list, or a dictionary by images."""
     if depth == 0:
         return set()
     if isinstance(content, list):

@@ -1,7 +1,4 @@
-"""The interface of a hand tracker: a dataclass of options, and a reader of its files.
-
-A tracker subclasses ``Tracker`` in a file of its own. ``TRACKERS`` lists them.
-"""
+"""The interface of a hand tracker, a dataclass of options with a reader of its files; and rows matched to frames."""
 
 from __future__ import annotations
 
@@ -12,49 +9,46 @@ from typing import ClassVar
 
 from getagrip.clip.match_frames import check_unique_images, frame_of, number_of, rows_in_order
 from getagrip.errors import InputError, UsageError
-from getagrip.io import arrays, files
+from getagrip.io import arrays
+from getagrip.io.files import printable, shorten_value
 from getagrip.readers.trackers import records
 from getagrip.readers.trackers.estimates import Estimates, Request
 from getagrip.readers.trackers.records import Sample
 
 MULTI_IMAGE_SUFFIXES = (".pkl", ".pickle", ".json", ".pt", ".pth")
-"""Files that may hold many images."""
+"""Suffixes of files that may hold many images."""
 
 
 @dataclass(frozen=True)
 class Tracker:
-    """An estimator of hands. Its fields are the options of the command: what the files do not say themselves."""
+    """A hand tracker. Its fields are options of the command, for information that the files lack."""
 
     name: ClassVar[str]
     """Name in a clip's provenance."""
     takes: ClassVar[str]
-    """Its files in a few words, for the command's help."""
-
+    """The tracker's files in a few words, for the command's help."""
     looks_for: ClassVar[str] = ""
-    """By what its files are recognised, in a few words; empty: they are not."""
+    """Names and keys that identify the files, in a few words; empty if files are not recognised."""
     layouts: ClassVar[tuple[str, ...]] = ()
-    """Patterns of its files below the folder that it writes."""
+    """Patterns of the files below the tracker's output folder."""
 
     def recognises(self, sample: Sample) -> str:
-        """Return what a file is, in words, where it is this program's; else nothing."""
+        """Return a description of a file of this tracker; empty for other files."""
         return ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hand in some of the requested frames.
+        """Read the hand in the requested frames; files of other frames are skipped.
 
-        Files of other frames are skipped.
-
-        Raises ``InputError`` for files that are missing, malformed or hostile, ``UsageError`` for options that are
-        needed and not given.
+        Raises ``InputError`` for missing, malformed or hostile files, ``UsageError`` for missing options.
         """
         raise NotImplementedError
 
 
 def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, int, records.Record]]:
-    """Yield the file, the frame's index and the content of single images whose names are like those of frames.
+    """Yield the file, frame index and record of each image of a requested frame.
 
-    A file is of one image, and named like it, or holds a dictionary with the names of images as keys. Raises
-    ``InputError`` where no name is that of a frame of the request.
+    A file is named like its image, or holds a dictionary by names of images. Raises ``InputError`` without any
+    requested frame.
     """
     found, other = False, ""
     if len(paths) > 1:
@@ -62,9 +56,8 @@ def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, i
     alone: dict[str, int] = {}
     for path in paths:
         frame = frame_of(path.stem, request.frames)
-        may_hold_many = path.suffix.lower() in MULTI_IMAGE_SUFFIXES and (
-            len(paths) == 1 or number_of(path.stem) is None
-        )
+        alone_or_unnumbered = len(paths) == 1 or number_of(path.stem) is None
+        may_hold_many = path.suffix.lower() in MULTI_IMAGE_SUFFIXES and alone_or_unnumbered
         record = records.read_tracker_record(path) if frame is not None or may_hold_many else {}
         named = records.records_by_image(record)
         if not named and frame is not None:
@@ -83,9 +76,9 @@ def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, i
 
 
 def frames_of_names(path: Path, names: Sequence[str], request: Request) -> list[int | None]:
-    """Return the index of the frame of each image in a file, by its name; None for frames that the clip does not have.
+    """Return the frame index of each image in a file, by its name; None for frames outside the clip.
 
-    Raises ``InputError`` for two images of one frame, ``UsageError`` where they are counted from another start.
+    Raises ``InputError`` for two images of one frame, ``UsageError`` for images counted from another start.
     """
     request.check_numbers(path, [Path(name).stem for name in names])
     found = [frame_of(Path(name).stem, request.frames) for name in names]
@@ -94,23 +87,22 @@ def frames_of_names(path: Path, names: Sequence[str], request: Request) -> list[
 
 
 def unmatched_names_error(paths: Sequence[Path], example: str, request: Request) -> InputError:
-    """Make the error for files of which none is named like a frame."""
-    named = " to ".join(files.printable(frame) for frame in (request.frames[0], request.frames[-1]))
-    got = f"no name of a frame ({files.printable(example)}, ...) in {len(paths)} file{'s' if len(paths) > 1 else ''}"
+    """Make the error for files without a name of a frame."""
+    named = " to ".join(printable(frame) for frame in (request.frames[0], request.frames[-1]))
+    got = f"no name of a frame ({printable(example)}, ...) in {len(paths)} file{'s' if len(paths) > 1 else ''}"
     return InputError(paths[0], "", got, f"names like those of the clip's frames, {named}")
 
 
 def frames_of_rows(path: Path, record: records.Record, count: int, request: Request) -> list[int | None]:
-    """Return the index of the frame of each row of a file; None for frames that the clip does not have.
+    """Return the frame index of each row of a file; None for frames outside the clip.
 
-    ``frames`` in the file names them; without it, the rows are the clip's frames. Raises ``InputError``.
+    The file's ``frames`` are their names; without, the rows are the clip's frames. Raises ``InputError``.
     """
     if "frames" in record:
         names = arrays.array_from_names(record["frames"])
         if names is None or len(names) != count:
-            raise InputError(
-                path, "frames", files.shorten_value(record["frames"]), f"{count} names or numbers of frames"
-            )
+            got = shorten_value(record["frames"])
+            raise InputError(path, "frames", got, f"{count} names or numbers of frames")
         request.check_numbers(path, map(str, names))
         return [frame_of(str(name), request.frames) for name in names]
     option = request.ask_first or "--first"
@@ -120,9 +112,9 @@ def frames_of_rows(path: Path, record: records.Record, count: int, request: Requ
 
 
 def frames_of_images(path: Path, record: records.Record, count: int, request: Request) -> list[int | None]:
-    """Return the index of the frame of each row, as ``frames_of_rows``; rows may also be all images of a video.
+    """Return the frame index of each row as ``frames_of_rows``; rows may also be all images of a video.
 
-    These are counted from 0, and the video's frames from 1 where the request does not state the first one's number.
+    Images are counted from 0, and the video's frames from 1 unless the user states the first number.
     """
     if "frames" in record or (count == len(request.frames) and not request.counted):
         return frames_of_rows(path, record, count, request)
@@ -130,7 +122,7 @@ def frames_of_images(path: Path, record: records.Record, count: int, request: Re
 
 
 def only_file(paths: Sequence[Path], what: str) -> Path:
-    """Return the one file that is given. Raises ``UsageError`` for several."""
+    """Return the only file. Raises ``UsageError`` for several files."""
     if len(paths) != 1:
         raise UsageError(f"FILE must be one, with the {what} of all frames (got {len(paths)} files)")
     return paths[0]

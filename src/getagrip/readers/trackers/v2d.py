@@ -29,7 +29,7 @@ from getagrip.readers.trackers.records import Sample, record_numbers
 from getagrip.readers.trackers.tracker import Tracker, frames_of_images, only_file
 
 V2D_CENTRE_TOLERANCE = 0.1
-"""A principal point so near to the middle of the clip's images [ratio] is of images of their size."""
+"""Maximum log ratio between twice the principal point and the size of the clip's images that is ignored."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class V2D(Tracker):
         return "V2D's result" if sample.has("camera_intrinsics", *keys) else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """Read the hand of the requested side in those of the video's frames that the clip has and that are valid."""
+        """Read the hand of the requested side in the clip's frames with a valid hand."""
         path = only_file(paths, "hands")
         record, hand = records.read_tracker_record(path), f"hand_{request.side}_"
         N = len(record_numbers(path, record, f"{hand}is_valid", (-1,)))
@@ -65,9 +65,8 @@ class V2D(Tracker):
                 continue
             t, scale = each["wrist_trans_in_camera"][n], float(each["scale"][n])
             if not (t[2] > 0 and scale > 0):
-                raise InputError(
-                    path, hand, f"the depth {t[2]:.3g} m and the scale {scale:g} in row {n}", "both above 0"
-                )
+                got = f"the depth {t[2]:.3g} m and the scale {scale:g} in row {n}"
+                raise InputError(path, hand, got, "both above 0")
             R = se3.exp_so3(each["wrist_orient_in_camera"][n])
             fingers = se3.exp_so3(each["finger_pose"][n])
             if request.side == "left":

@@ -1,4 +1,4 @@
-"""Results as HTML pages: files that open from disk and ask for nothing else, and the served page of `getagrip view`."""
+"""HTML pages of results: self-contained files, and the page that `getagrip view` serves."""
 
 from getagrip.report.pages.index_page import IndexRow, index_row, index_row_without_clip, write_index
 from getagrip.report.pages.result_page import write_page

@@ -1,4 +1,4 @@
-"""The evidence for and against each of a result's candidates: its energy, and numbers that did not decide."""
+"""Evidence for and against each candidate of a result: its energy, and metrics that the energy does not contain."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from getagrip.result.findings import Finding
 
 CANDIDATE_TABLE_HEADINGS = ("", "energy", "IOU %", "gap mm", "depth mm", "SCA %", "ADD mm")
 SCA_CONTACT_DISTANCE_M = 0.010
-"""Points of the hand within this distance of the object are in contact, in the stable contact area [m]."""
+"""Distance to the object within which a point of the hand is in contact, for the stable contact area [m]."""
 
 
 @dataclass(frozen=True)
 class CandidateMetrics:
-    """About one candidate; NaN where not known.
+    """The metrics of one candidate; NaN where not known.
 
     Attributes:
-        energy: what was minimised [pixels squared of the 256-pixel crop].
-        excess: by how much that is above the lowest of all candidates, as a share of the lowest.
+        energy: energy [px^2 of the 256-pixel crop].
+        excess: energy above the lowest of all candidates, as a fraction of the lowest.
         iou: mean overlap with the observed masks.
         gap: smallest distance of hand and object, median over frames [mm].
-        depth: of the hand's deepest point inside the object, median over frames [mm].
+        depth: depth of the hand's deepest point inside the object, median over frames [mm].
         sca: stable contact area of the hand's points.
         add: mean distance of the object's vertices from the ground truth [mm].
-        findings: what the checks of results find (docs/checks.md).
+        findings: findings of the result checks (docs/checks.md).
     """
 
     energy: float
@@ -48,34 +48,29 @@ class CandidateMetrics:
 
 @dataclass(frozen=True)
 class CandidateCriterion:
-    """A number by which candidates are compared."""
+    """A metric by which candidates are compared."""
 
     value: Callable[[CandidateMetrics], float]
     more_is_better: bool
     margin: float
-    """Differences below this say nothing."""
+    """Difference below which candidates count as equal."""
     words: str
-    """With the ``{value}`` and the ``{best}`` one."""
+    """Text with the placeholders ``{value}`` and ``{best}``."""
     factor: float = 1.0
 
 
 CANDIDATE_CRITERIA = (
     CandidateCriterion(lambda it: it.excess, False, 0.05, "energy {value:.0f} % above the lowest", 100.0),
     CandidateCriterion(lambda it: it.iou, True, 0.01, "mask IOU {value:.1f} % (best: {best:.1f} %)", 100.0),
-    CandidateCriterion(
-        lambda it: it.gap, False, 2.0, "gap between hand and object {value:.1f} mm (least: {best:.1f} mm)"
-    ),
+    CandidateCriterion(lambda it: it.gap, False, 2.0, "gap of hand and object {value:.1f} mm (least: {best:.1f} mm)"),
     CandidateCriterion(lambda it: it.depth, False, 3.0, "hand {value:.1f} mm deep inside (least: {best:.1f} mm)"),
     CandidateCriterion(lambda it: it.sca, True, 0.05, "stable contact area {value:.0f} % (most: {best:.0f} %)", 100.0),
 )
-"""Ground truth is none of them: it is shown, but nobody has it for footage of their own."""
+"""Criteria that need no ground truth, which users' own footage lacks."""
 
 
 def compute_candidate_metrics(view: View) -> list[CandidateMetrics]:
-    """Compute the numbers about each candidate of a result, best energy first.
-
-    ``view`` is at the frames to compare in.
-    """
+    """Compute the metrics of each candidate of a result over the frames of ``view``, best energy first."""
     true, candidates = view.true(), view.result.candidates
     lowest = float(candidates.energy.min())
     out = []
@@ -107,26 +102,22 @@ def compare_candidates(view: View) -> dict[str, object]:
     rows = [[str(rank + 1), *_format_candidate_row(it)] for rank, it in enumerate(known)]
     columns = [k for k in range(len(CANDIDATE_TABLE_HEADINGS)) if any(row[k] for row in rows)]
     pros, cons = zip(*(weigh_candidate(known, rank) for rank in range(len(known))), strict=True)
-    return {
-        "head": [CANDIDATE_TABLE_HEADINGS[k] for k in columns],
-        "rows": [[row[k] for k in columns] for row in rows],
-        "pros": pros,
-        "cons": cons,
-    }
+    head, cells = [CANDIDATE_TABLE_HEADINGS[k] for k in columns], [[row[k] for k in columns] for row in rows]
+    return {"head": head, "rows": cells, "pros": pros, "cons": cons}
 
 
 def _format_candidate_row(it: CandidateMetrics) -> list[str]:
-    """Return a candidate's line, under all but the first of ``CANDIDATE_TABLE_HEADINGS``; empty where a number is not known."""
+    """Return the cells below all but the first of ``CANDIDATE_TABLE_HEADINGS``; empty for NaN."""
     values = (it.energy, 100 * it.iou, it.gap, it.depth, 100 * it.sca, it.add)
     return ["" if np.isnan(v) else f"{v:.{d}f}" for v, d in zip(values, (0, 1, 1, 1, 0, 1), strict=True)]
 
 
-def weigh_candidate(all_of_them: Sequence[CandidateMetrics], rank: int) -> tuple[list[str], list[str]]:
-    """Return the arguments for a candidate, and those against it: compared with the others, and by the checks."""
-    it = all_of_them[rank]
+def weigh_candidate(candidates: Sequence[CandidateMetrics], rank: int) -> tuple[list[str], list[str]]:
+    """Return the arguments for a candidate and against it, from ``CANDIDATE_CRITERIA`` and its findings."""
+    it = candidates[rank]
     pro, con = [], [str(finding) for finding in it.findings]
     for question in CANDIDATE_CRITERIA:
-        values = np.array([question.value(other) for other in all_of_them])
+        values = np.array([question.value(other) for other in candidates])
         if len(values) < 2 or not np.isfinite(values[rank]):
             continue
         sign = 1.0 if question.more_is_better else -1.0

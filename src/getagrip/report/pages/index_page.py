@@ -1,4 +1,4 @@
-"""The page of many results: as a table or a gallery, worst first by any metric, filtered by findings."""
+"""The index page of many results: a table or a gallery, sorted by any metric, filtered by findings."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ INDEX_COLUMNS: Mapping[str, Metric] = {**MAIN_METRICS, "penetration": PENETRATIO
 
 @dataclass(frozen=True)
 class IndexRow:
-    """A result in the index; where it could not be read, only where it is and why."""
+    """A result in the index; of an unreadable one only the folder and the problem."""
 
     folder: str
-    """Path below the index."""
+    """Path relative to the index."""
     problem: str = ""
     page: bool = False
-    """True if it has a page."""
+    """True if the result has a page."""
     clip: str = ""
     method: str = ""
     status: str = ""
     flags: tuple[str, ...] = ()
-    """Flags against it: failed, left (not done yet), misfit, serious, note, ambiguous, guess, dropped."""
+    """Any of failed, left (not done yet), misfit, serious, note, ambiguous, guess and dropped."""
     warnings: tuple[str, ...] = ()
-    """Its findings, in words."""
+    """Findings, in words."""
     values: dict[str, float] = field(default_factory=dict)
-    """By the names of the columns."""
+    """Values by column name."""
     thumbnail: str = ""
     """JPEG, in base64."""
 
@@ -75,9 +75,9 @@ def index_row(folder: str, view: View, evaluation: Evaluation, page: bool) -> In
 def index_row_without_clip(
     folder: str, result: Reconstruction, metrics: Mapping[str, object], problem: str, page: bool = False
 ) -> IndexRow:
-    """Make the row of a result whose clip is not read: the metrics of its ``result.json``, and why there are no more.
+    """Make the row of a result whose clip is not read, from the metrics of its ``result.json``.
 
-    So it is with results of inputs that a benchmark has changed on purpose, and of batches.
+    Results of a batch, and of inputs that a benchmark has perturbed, are listed so; ``problem`` says why.
     """
     known = {key: float(value) for key, value in metrics.items() if isinstance(value, int | float)}
     plain = _base_index_row(folder, result, known)
@@ -109,9 +109,10 @@ def _base_index_row(folder: str, result: Reconstruction, metrics: Mapping[str, f
 def write_index(
     rows: Sequence[IndexRow], title: str, tables: Sequence[str], path: Path, all_rows: Counter[str] | None = None
 ) -> Path:
-    """Write the page and return its path.
+    """Write the index page and return its path.
 
-    ``tables`` are files beside it that it links to; ``all_rows`` counts by ``IndexRow.kind`` where these are not all.
+    ``tables`` are names of files beside the page to link; ``all_rows`` counts all results by ``IndexRow.kind`` where
+    ``rows`` are only some of them.
     """
     units: dict[str, tuple[str, int]] = {"IOU": ("%", 1)}
     units |= {name: (metric.unit, metric.decimals) for name, metric in INDEX_COLUMNS.items()}
@@ -119,43 +120,33 @@ def write_index(
     units |= {"worst frame": ("%", 1), "time": ("s", 2)}
     known = [name for name in units if any(np.isfinite(one.values.get(name, np.nan)) for one in rows)] or ["IOU"]
     counts, title = all_rows or Counter(one.kind for one in rows), replace_surrogates(title)
+    sets = _result_sets([one.folder for one in rows])
+    least = {name: MIN_SHOWN_PROBABILITY if name.startswith("probability") else 0.0 for name in known}
+    columns = [
+        {"name": name, "unit": unit, "decimals": decimals, "more": unit == "%", "least": least[name]}
+        for name, (unit, decimals) in ((name, units[name]) for name in known)
+    ]
     data = {
         "title": title,
-        "rows": [
-            {
-                **asdict(one),
-                "folder": replace_surrogates(one.folder),
-                "problem": replace_surrogates(one.problem),
-                "link": f"./{quote(os.fsencode(one.folder))}/report.html" if one.page else "",
-                "set": replace_surrogates(name),
-            }
-            for one, name in zip(rows, _result_sets([one.folder for one in rows]), strict=True)
-        ],
-        "columns": [
-            {
-                "name": name,
-                "unit": units[name][0],
-                "decimals": units[name][1],
-                "more": units[name][0] == "%",
-                "least": MIN_SHOWN_PROBABILITY if name.startswith("probability") else 0.0,
-            }
-            for name in known
-        ],
+        "rows": [_row_data(one, name) for one, name in zip(rows, sets, strict=True)],
+        "columns": columns,
         "first": "ADD sym." if "ADD sym." in known else "IOU",
         "tables": [{"name": replace_surrogates(name), "link": f"./{quote(os.fsencode(name))}"} for name in tables],
         "counts": {kind: counts[kind] for kind in ("results", "failed", "left")},
         "version": __version__,
     }
-    page = build_document(title, "index.html", ("page.js", "index.js"), data)
-    files.write_text(path, page)
+    files.write_text(path, build_document(title, "index.html", ("page.js", "index.js"), data))
     return path
 
 
-def _result_sets(folders: Sequence[str]) -> list[str]:
-    """Return the folder that each result shares with others, such as its method's in a benchmark.
+def _row_data(row: IndexRow, shared_folder: str) -> dict[str, object]:
+    link = f"./{quote(os.fsencode(row.folder))}/report.html" if row.page else ""
+    printable = {"folder": row.folder, "problem": row.problem, "set": shared_folder}
+    return asdict(row) | {"link": link} | {key: replace_surrogates(text) for key, text in printable.items()}
 
-    It is "" where all share one.
-    """
+
+def _result_sets(folders: Sequence[str]) -> list[str]:
+    """Return the parent folder of each result relative to the deepest common one, such as a benchmark's method."""
     parents = [PurePosixPath(folder).parent for folder in folders]
     shared = PurePosixPath(commonpath(parents)) if parents else PurePosixPath()
     names = [parent.relative_to(shared).as_posix() for parent in parents]

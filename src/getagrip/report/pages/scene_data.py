@@ -1,7 +1,4 @@
-"""Arrays of the 3D view: what is the same in all frames, and what each frame changes.
-
-Pictures in pages: JPEG, and contours over them as SVG draws them.
-"""
+"""Data of a page's views: images with contours as SVG paths, and the arrays of the 3D view."""
 
 from __future__ import annotations
 
@@ -24,13 +21,16 @@ from getagrip.report.pictures.stills import smooth_track
 
 FRAME_PICTURE_PX, FRAME_JPEG_QUALITY = 480, 78
 """Side [px] and JPEG quality of the images."""
+DEFAULT_CONTACT_DISTANCE_M, MAX_CONTACT_SLIDER_M = 0.010, 0.020
+"""Contact distance that a page opens with, and the largest that can be chosen [m]."""
+MAX_EXACT_DISTANCE_M = MAX_CONTACT_SLIDER_M + CONTACT_BORDER_M
+"""Distance up to which distances are exact: contact fades over ``CONTACT_BORDER_M`` around the chosen one [m]."""
+FOCUS_SMOOTHING_S = 0.35
+"""Standard deviation in time of the smoothing of the point that the 3D view looks at [s]."""
 
 
 def draw_page_frame(view: View, n: int, crops: Crops, k: int) -> dict[str, object]:
-    """Draw frame ``n`` in window ``k``.
-
-    The image, and the contours of the object, the hands, the truth and the mask.
-    """
+    """Draw frame ``n`` in window ``k``: the image, and the contours of object, hands, ground truth and mask."""
     outlines = {"hand": _surfaces_outline(view.hands(n), view, n, crops, k)}
     if view.posed:
         outlines["object"] = object_outline(view, n, crops, k)
@@ -43,7 +43,7 @@ def draw_page_frame(view: View, n: int, crops: Crops, k: int) -> dict[str, objec
 
 
 def object_outline(view: View, n: int, crops: Crops, k: int) -> str:
-    """Return the contour of the posed object."""
+    """Return the contour of the posed object as SVG paths."""
     return _surfaces_outline([(view.object(n), view.clip.mesh.faces)], view, n, crops, k)
 
 
@@ -69,22 +69,12 @@ def svg_paths(lines: Iterable[Float[ndarray, "_n 2"]]) -> str:
     return "".join(out)
 
 
-DEFAULT_CONTACT_DISTANCE_M, MAX_CONTACT_SLIDER_M = 0.010, 0.020
-"""Distance of surfaces that counts as contact at first, and the largest that can be chosen [m]."""
-MAX_EXACT_DISTANCE_M = MAX_CONTACT_SLIDER_M + CONTACT_BORDER_M
-"""Distances are exact up to here; contact fades over ``CONTACT_BORDER_M`` to both sides of the one chosen [m]."""
-FOCUS_SMOOTHING_S = 0.35
-"""The camera looks at the mean place of hand and object over this time [s]."""
-
-
 def constant_arrays(view: View, surface: Mesh) -> dict[str, ndarray]:
-    """Return arrays by their names, as ``parts/viewer.js`` reads them.
+    """Return the arrays that do not depend on the frames a page loads, as ``parts/viewer.js`` reads them.
 
-    Metres, and poses as 4x4 matrices, of all frames.
-
-    ``object_vertices`` are of the mesh as it is, to be scaled by ``scale``, one for each candidate, as ``T_hand_obj``
-    and ``axis`` are. ``other_hand_known`` is 1 in the frames of the other hand. ``focus`` is where to look, in the
-    camera frame of each image. ``extent`` is the diameter of hands and object together, about.
+    Metres; poses are 4x4 matrices of all frames. ``object_vertices`` are unscaled: ``scale``, ``T_hand_obj`` and
+    ``axis`` have an entry for each candidate. ``other_hand_known`` is 1 in the frames of the other hand. ``focus`` is
+    the point to look at, in each camera frame; ``extent`` the approximate diameter of hands and object together.
     """
     clip, result = view.clip, view.result
     hands = [np.mean([vertices.mean(axis=0) for vertices, _ in view.hands(n)], axis=0) for n in range(len(clip))]
@@ -118,22 +108,19 @@ def constant_arrays(view: View, surface: Mesh) -> dict[str, ndarray]:
 
 
 def per_frame_arrays(view: View, surface: Mesh) -> dict[str, ndarray]:
-    """Return arrays with one block for each frame: hands in their own frames, and the closeness of the surfaces.
+    """Return arrays with an entry for each frame: hands in their own frames, and the closeness of the surfaces.
 
-    ``object_near``, ``hand_near`` and ``other_hand_near`` go from 0, at ``MAX_EXACT_DISTANCE_M`` or farther, to 1, touching or inside.
+    ``object_near``, ``hand_near`` and ``other_hand_near`` range from 0, at ``MAX_EXACT_DISTANCE_M`` or farther, to 1,
+    touching or inside.
     """
     hand, other, truth = view.clip.hand, view.clip.other_hand, view.clip.truth
     out: dict[str, ndarray] = {"hand_vertices": hand.vertices}
     if view.posed:
-        on_object, out["hand_near"] = (
-            _closeness(values) for values in surface_distances(view, surface, MAX_EXACT_DISTANCE_M)
-        )
+        on_object, out["hand_near"] = _closeness(view, surface)
         if other is not None:
             out["other_hand_near"] = np.zeros(other.track.vertices.shape[:2])
             if (seen := view.by_other_hand()) is not None:
-                by_other, out["other_hand_near"][other.known] = (
-                    _closeness(d) for d in surface_distances(seen, surface, MAX_EXACT_DISTANCE_M)
-                )
+                by_other, out["other_hand_near"][other.known] = _closeness(seen, surface)
                 on_object[other.known] = np.maximum(on_object[other.known], by_other)
         out["object_near"] = on_object
     if other is not None:
@@ -144,7 +131,7 @@ def per_frame_arrays(view: View, surface: Mesh) -> dict[str, ndarray]:
 
 
 def _scene_extent(view: View) -> float:
-    """Diameter of hands and object together, in nine of ten frames; of two hands, those that have both."""
+    """Compute the 0.9 quantile of the extent of hands and object, over the frames with the most hands [m]."""
     shown = [(len(view.hands(n)), n) for n in range(len(view.clip))]
     most = max(shown)[0]
     sizes = []
@@ -154,12 +141,12 @@ def _scene_extent(view: View) -> float:
     return float(np.quantile(sizes, 0.9))
 
 
-def _closeness(distance: Float[ndarray, "T V"]) -> Float[ndarray, "T V"]:
-    return np.clip(1.0 - distance / MAX_EXACT_DISTANCE_M, 0.0, 1.0)
+def _closeness(view: View, surface: Mesh) -> list[Float[ndarray, "T _V"]]:
+    distances = surface_distances(view, surface, MAX_EXACT_DISTANCE_M)
+    return [np.clip(1.0 - distance / MAX_EXACT_DISTANCE_M, 0.0, 1.0) for distance in distances]
 
 
 def _axis_endpoints(view: View) -> Float[ndarray, "2 3"]:
-    """Return the ends of the latent axis in the hand frame; NaN where it is not known."""
     return np.full((2, 3), np.nan) if view.result.axis is None else axis_points(view)[[0, -1]]
 
 
@@ -168,7 +155,6 @@ def _bounding_box_centre(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "3"]
 
 
 def _compact_dtype(name: str, values: ndarray) -> ndarray:
-    """Values in the smallest of a page's types that will do."""
     if name.endswith("_near"):
         return np.round(255.0 * values).astype(np.uint8)
     if name.endswith("_known"):

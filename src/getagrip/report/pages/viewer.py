@@ -1,11 +1,9 @@
-"""The answers of a served page: the entries, the worst first, and the results of each side by side, frame by frame.
+"""The server of ``getagrip view``: entries, worst first, with the results of each side by side, frame by frame.
 
-The page of ``getagrip view`` over HTTP, for whoever knows its whole address.
-
-Every path begins with a secret, new at each start: other users of the machine and pages of other sites that a browser
-has open do not know it. What follows is the name of a method of ``ViewerLibrary`` with whole numbers: no path names a file.
-A site that takes this machine's address for its own name (DNS rebinding) is recognised by that name (``Host``), and
-requests from pages of other sites by what the browser says of them (``Sec-Fetch-Site``).
+Every path begins with a secret, new at each start, which other users of the machine and pages of other sites do not
+know. A method of ``ViewerLibrary`` and whole numbers follow: no path names a file. A site that gives this machine's
+address to its own name (DNS rebinding) is recognised by that name (``Host``), a request from a page of another site by
+the browser's ``Sec-Fetch-Site``.
 """
 
 from __future__ import annotations
@@ -63,15 +61,53 @@ from getagrip.report.serving import LOOPBACK, SCRIPTED_PAGE_HEADERS, QuietHandle
 from getagrip.result import Reconstruction, read_result, read_result_record
 
 N_SAMPLED_FRAMES = 20
-"""Frames whose masks are read before any is shown; candidates are compared in them."""
+"""Frames whose masks are read when a column is opened; candidates are compared in these frames."""
 GAP_BATCH_FRAMES = 25
-"""Frames whose gap is measured before others may be, or the server ends."""
+"""Frames whose gap is measured without interruption by other requests or the server's end."""
 GROUND_TRUTH_LABEL, HAND_ONLY_LABEL = "ground truth", "the hand alone: no result and no ground truth"
 
 
 @dataclass(frozen=True, eq=False)
+class ViewerColumn:
+    """A result or a clip with its label; ``record`` is the content of ``result.json``, empty for a clip."""
+
+    label: str
+    view: View
+    record: Json
+
+
+@dataclass(frozen=True)
+class ViewerEntry:
+    """A line of the list.
+
+    Attributes:
+        label: text of the line.
+        results: folders of the results of one clip; empty for an entry that shows a clip itself.
+        clip: folder of the clip that the entry shows.
+        clips: a clip, or the folder of the clips, of the results; None: the clips that the results name.
+    """
+
+    label: str
+    results: tuple[Path, ...] = ()
+    clip: Path | None = None
+    clips: Path | None = None
+
+    def read(self) -> list[ViewerColumn]:
+        """Read a column for each result, at their common frames, without masks. Raises ``InputError``."""
+        if self.clip is not None:
+            clip = read_clip(self.clip)
+            if clip.truth is None:
+                return [ViewerColumn(HAND_ONLY_LABEL, hand_only_view(clip), {})]
+            return [ViewerColumn(GROUND_TRUTH_LABEL, ground_truth_view(self.clip), {})]
+        stored = [StoredResult(folder, self.clips) for folder in self.results]
+        read = [(one, View.of(*read_result_and_clip(one.folder, one.clips), None)) for one in stored]
+        views, names = at_common_frames(read), label_views([view for _, view in read], distinct_path_parts(stored))
+        return [ViewerColumn(*each) for each in zip(names, views, map(read_result_record, self.results), strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
 class OpenColumn:
-    """A column that is open: its view has a simplified mesh and no masks, which are read with the frames."""
+    """An open column: its view has a decimated mesh and no masks, which are read with the frames."""
 
     column: ViewerColumn
     view: View
@@ -79,12 +115,11 @@ class OpenColumn:
 
     @staticmethod
     def of(column: ViewerColumn) -> OpenColumn:
-        """Open a column."""
         view = decimate_view(column.view)
         return OpenColumn(column, view, subdivide_object(view))
 
     def about(self) -> Json:
-        """Return what is the same in all frames."""
+        """Return the column's data that all frames share."""
         metrics = {k: float(v) for k, v in self.column.record.get("metrics", {}).items() if isinstance(v, int | float)}
         arrays, packed = pack_arrays(scene_data.constant_arrays(self.view, self.surface))
         known = Evaluation.recorded(self.view.clip, self.view.result.method, metrics)
@@ -93,24 +128,24 @@ class OpenColumn:
         return {**said, **more, "arrays": arrays, "packed": packed}
 
     def frame(self, rank: int, n: int) -> dict[str, object]:
-        """Return a frame with one of the candidates."""
+        """Return frame ``n`` with the candidate ``rank``."""
         view = candidate_view(self.at(np.array([n])), rank)
         arrays, packed = pack_arrays(scene_data.per_frame_arrays(view, self.surface))
         return {**draw_page_frame(view, 0, self.windows, n), "arrays": arrays, "packed": packed}
 
     def at(self, index: Int[ndarray, "n"], with_hand: bool = False) -> View:
-        """Return some frames, with the masks of the object, and of the hand if wanted."""
+        """Return the view at some frames, with masks of the object and, if ``with_hand``, of the hand."""
         some = self.view.at([self.view.result.frames[n] for n in index])
         return replace(some, masks=read_available_masks(some.clip, with_hand))
 
     @cached_property
     def sampled(self) -> Int[ndarray, "n"]:
-        """The frames ``N_SAMPLED_FRAMES``."""
+        """Indices of ``N_SAMPLED_FRAMES`` frames, evenly sampled."""
         return frame_indices(len(self.view.clip), N_SAMPLED_FRAMES)
 
     @cached_property
     def windows(self) -> Crops:
-        """Square windows around hand and masks in each frame, of one size; they follow the hand smoothly."""
+        """Square windows of one size around hand and masks, one a frame, which follow the hand smoothly."""
         some = self.at(self.sampled)
         crops = input_windows([some], np.arange(len(some.clip)), FRAME_PICTURE_PX)
         hand = np.array([np.mean(project(K, self.view.hand(n)), axis=0) for n, K in enumerate(self.view.clip.K)])
@@ -124,12 +159,12 @@ class OpenColumn:
 class ViewerLibrary:
     """The entries of a page.
 
-    One thread makes all frames, one after the other, and another measures what takes time: few large images are in
-    memory at once.
+    One thread draws all frames, one after the other, and another measures gaps and candidates, so that few large images
+    are in memory at once.
     """
 
     def __init__(self, entries: Sequence[ViewerEntry], fail: Callable[[Exception], None]) -> None:
-        """Open the first entry that can be read; the errors of those before it go to ``fail``."""
+        """Open the first readable entry; errors of the entries before it go to ``fail``."""
         self.entries = tuple(entries)
         self._frames, self._measured = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
         self._opened = lru_cache(maxsize=2)(lambda n: [OpenColumn.of(column) for column in self.entries[n].read()])
@@ -143,12 +178,12 @@ class ViewerLibrary:
             return False
 
     def page(self) -> bytes:
-        """Return the HTML page, which requests everything else."""
+        """Return the HTML page, which requests all other data."""
         data = {"entries": [entry.label for entry in self.entries], "first": self.first}
         return build_document("getagrip view", "viewer.html", RESULT_PAGE_SCRIPTS, data, asks=True).encode()
 
     def entry(self, n: int) -> dict[str, object]:
-        """Return all that is the same in all frames of an entry."""
+        """Return the data of entry ``n`` that all frames share."""
 
         def made() -> dict[str, object]:
             columns = self._opened(n)
@@ -158,11 +193,11 @@ class ViewerLibrary:
         return self._frames.submit(made).result()
 
     def frame(self, n: int, column: int, rank: int, frame: int) -> dict[str, object]:
-        """Return a frame of a column, with one of the candidates in the result's place."""
+        """Return a frame of a column, with the candidate ``rank`` in place of the result."""
         return self._frames.submit(lambda: self._opened(n)[column].frame(rank, frame)).result()
 
     def gap(self, n: int, column: int) -> dict[str, object]:
-        """Return the curve of a column that is slow to compute."""
+        """Return the curve of the gap of hand and object, which is slow to compute; empty without poses."""
         view = self._shown(n, column).view
         if not view.posed:
             return {}
@@ -179,61 +214,19 @@ class ViewerLibrary:
         return self._frames.submit(lambda: self._opened(n)[column]).result()
 
 
-@dataclass(frozen=True, eq=False)
-class ViewerColumn:
-    """A result or a clip, and what it is called; ``record`` is the content of its ``result.json``."""
-
-    label: str
-    view: View
-    record: Json
-
-
-@dataclass(frozen=True)
-class ViewerEntry:
-    """A line of the list.
-
-    Attributes:
-        label: what the list calls it.
-        results: folders of the results of one clip; none where a clip itself is shown.
-        clip: folder of the clip that is shown itself.
-        clips: where the clips of results are; None: where the results say.
-    """
-
-    label: str
-    results: tuple[Path, ...] = ()
-    clip: Path | None = None
-    clips: Path | None = None
-
-    def read(self) -> list[ViewerColumn]:
-        """Read a column for each result, at the frames that all of them have, without masks. Raises ``InputError``."""
-        if self.clip is not None:
-            clip = read_clip(self.clip)
-            return [
-                ViewerColumn(HAND_ONLY_LABEL, hand_only_view(clip), {})
-                if clip.truth is None
-                else ViewerColumn(GROUND_TRUTH_LABEL, ground_truth_view(self.clip), {})
-            ]
-        stored = [StoredResult(folder, self.clips) for folder in self.results]
-        read = [(one, View.of(*read_result_and_clip(one.folder, one.clips), None)) for one in stored]
-        views, names = at_common_frames(read), label_views([view for _, view in read], distinct_path_parts(stored))
-        return [ViewerColumn(*each) for each in zip(names, views, map(read_result_record, self.results), strict=True)]
-
-
 def label_views(views: Sequence[View], folders: Sequence[str]) -> list[str]:
-    """Return the results' methods; where these agree, also the folders that tell the results apart."""
+    """Name results by their methods, and by their folders where several have the same method."""
     named = [label_of(v.result.method) for v in views]
-    return [
-        label if named.count(label) == 1 else f"{label} ({folder})"
-        for label, folder in zip(named, folders, strict=True)
-    ]
+    both = zip(named, folders, strict=True)
+    return [label if named.count(label) == 1 else f"{label} ({folder})" for label, folder in both]
 
 
 def group_entries(
     results: Sequence[Path], clip_folders: Sequence[Path], clips: Path | None, fail: Callable[[Exception], None]
 ) -> list[ViewerEntry]:
-    """Group results of the same clip and inputs: the serious ones first, then by mean IOU; clips follow.
+    """Group results by clip and inputs, worst first (``entry_severity_key``), followed by clips.
 
-    Those that cannot be read go to ``fail``.
+    Errors of unreadable results go to ``fail``.
     """
     groups: dict[tuple[str, str], list[tuple[Path, Reconstruction]]] = {}
     for folder in dict.fromkeys(path.resolve() for path in results):
@@ -250,7 +243,7 @@ def group_entries(
 
 
 def entry_severity_key(results: Sequence[Reconstruction]) -> tuple[bool, float]:
-    """Return a key that sorts the worst first: whether nothing serious is found, then the lowest mean IOU."""
+    """Return a key that sorts the worst first: results with serious findings, then by the lowest mean IOU."""
     serious = any(finding.serious for result in results for finding in result.findings)
     return not serious, min(_mean_iou(result) for result in results)
 
@@ -268,23 +261,23 @@ def _mean_iou(result: Reconstruction) -> float:
 
 
 VIEWER_PORT = 8770
-"""Port of the page, if that is free."""
+"""Default port of the page."""
 VIEWER_ROUTES: dict[str, tuple[Callable[..., dict[str, object]], int]] = {
     "entry": (ViewerLibrary.entry, 1),
     "frame": (ViewerLibrary.frame, 4),
     "gap": (ViewerLibrary.gap, 2),
     "candidates": (ViewerLibrary.candidates, 2),
 }
-"""Paths that may be asked for, and the number of numbers in each."""
+"""Method and number of arguments for each path."""
 
 
 class ViewerServer(QuietServer):
-    """Serves one library."""
+    """The server of one library."""
 
     def __init__(self, library: ViewerLibrary, port: int | None = None, host: str = LOOPBACK) -> None:
-        """Listen on a port, 0 for any free one; without one on ``VIEWER_PORT``, or on any free one if that is taken.
+        """Listen on a port, 0 for any free one; by default on ``VIEWER_PORT`` or, if that is taken, on any free one.
 
-        Raises ``UsageError`` for a port that is taken or an address that is not this machine's.
+        Raises ``UsageError`` for a port in use or an address of another machine.
         """
         self.library, self.host, self.secret = library, host, secrets.token_urlsafe(16)
         try:
@@ -298,11 +291,11 @@ class ViewerServer(QuietServer):
 
     @property
     def url(self) -> str:
-        """Address of the page."""
+        """Address of the page, with its secret."""
         return f"http://{self.host}:{self.server_port}/{self.secret}/"
 
     def admits(self, host: str) -> bool:
-        """Return whether a request names this machine: by an address, or as the user did."""
+        """Return whether a request's ``Host`` is an IP address, localhost or the address that the user chose."""
         name = re.sub(r":\d{1,5}$", "", host)
         if name in (self.host, "localhost"):
             return True
@@ -317,7 +310,7 @@ class _ViewerHandler(QuietHandler):
     server: ViewerServer
 
     def do_GET(self) -> None:
-        """Answer with the page or a part of it; errors become one line of JSON, never a traceback."""
+        """Answer with the page or its data; errors become one line of JSON, never a traceback."""
         try:
             if not self.server.admits(self.headers.get("Host") or ""):
                 self._refuse("requests to another host are refused", HTTPStatus.FORBIDDEN)
@@ -337,12 +330,10 @@ class _ViewerHandler(QuietHandler):
             self._refuse(f"{type(error).__name__}: {error}", HTTPStatus.INTERNAL_SERVER_ERROR)
 
     def _below_secret(self) -> str | None:
-        """Return the part of the path behind the secret, without a query."""
         first, _, rest = self.path.partition("?")[0].removeprefix("/").partition("/")
         return rest if secrets.compare_digest(first.encode(), self.server.secret.encode()) else None
 
     def _part(self, path: str) -> None:
-        """Answer with what a method of the library gives."""
         name, *numbers = path.split("/")
         method, count = VIEWER_ROUTES.get(name, (None, 0))
         if method is None or len(numbers) != count or not all(re.fullmatch("[0-9]{1,6}", one) for one in numbers):

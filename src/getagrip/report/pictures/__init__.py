@@ -1,1 +1,1 @@
-"""Pictures of results (matplotlib): reports, figures, contact matrices, the study; what pages and films draw with."""
+"""Pictures of results: views, tiles, still frames, contact colours and the report."""

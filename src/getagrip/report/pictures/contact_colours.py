@@ -1,4 +1,4 @@
-"""The surfaces of hand and object, coloured by where they touch, and how far they are apart."""
+"""The surfaces of hand and object coloured by contact, and the gap between them."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from getagrip.report.pictures.panels import PAPER_RGB, RESULT_COLOUR, look_at
 from getagrip.report.pictures.result_view import View
 
 FRAME_CONTACT_COLOURS, CONTACT_SHARE_COLOURS = ("#c9cdcf", RESULT_COLOUR), ("#c9cdcf", "#f0c05a", RESULT_COLOUR)
-"""Colours of a surface: out of contact and in contact; and by the share of frames in contact, from 0 to 1."""
+"""Colours of a surface: out of contact and in contact; and by the fraction of frames in contact, from 0 to 1."""
 N_CONTACT_VERTICES = 12_000
-"""Vertices, about, of the object's coloured surface."""
+"""Approximate number of vertices of the object's coloured surface."""
 CONTACT_BORDER_M = 0.0015
-"""Colours change over so far to both sides of the border of contact [m], lest they show the faces."""
+"""Half the width of the border over which contact colours fade, so that single faces do not show [m]."""
 HAND_VIEW_ANGLE_RAD = np.radians(50.0)
-"""The hand is seen from the side that touches, turned so far to the one side and to the other."""
+"""Angle to both sides of the palm's contact direction from which the hand is rendered."""
 MAX_VIEW_FACES = 20_000
-"""Number of faces to which larger meshes are decimated, about."""
+"""Approximate number of faces to which larger meshes are decimated."""
 MIN_GAP_VERTICES = 6_000
-"""Least number of vertices of a mesh, about, so that an edge inside the hand has some."""
+"""Approximate minimum number of vertices of the object's mesh for the gap, so that an edge inside the hand has some."""
 GAP_SEARCH_DISTANCE_M = 0.03
-"""The object's vertices count within this distance of the hand [m]; beyond, the hand's alone are near enough."""
+"""Distance from the hand within which the object's vertices count for the gap [m]; beyond, the hand's suffice."""
 
 
 @dataclass(frozen=True, eq=False)
 class ContactSurface:
-    """A surface in a frame of its own, and where it is in contact in each of T frames.
+    """A surface in its own frame, with its contact in each of T frames.
 
     Attributes:
         vertices: (T, V, 3) [m].
         faces: (F, 3) vertex ids.
-        contact: (T, V) 1 in contact, 0 not; between the two along the border, over twice ``CONTACT_BORDER_M``.
+        contact: (T, V) 1 in contact, 0 not; fades over twice ``CONTACT_BORDER_M`` between the two.
         sides: (2, 3) two directions to look from.
-        up: (3,) the direction that is upwards in pictures.
+        up: (3,) upward direction of pictures.
     """
 
     vertices: Float[ndarray, "T V 3"]
@@ -55,7 +55,7 @@ class ContactSurface:
         return self._picture(n, self.contact[n], FRAME_CONTACT_COLOURS, side, size)
 
     def over_all(self, side: int, size: int) -> UInt8[ndarray, "size size 3"]:
-        """Render the share of frames on the surface as it is in the middle one, in the colours ``CONTACT_SHARE_COLOURS``."""
+        """Render the fraction of frames in contact on the middle frame's surface, in ``CONTACT_SHARE_COLOURS``."""
         return self._picture(len(self.vertices) // 2, self.contact.mean(axis=0), CONTACT_SHARE_COLOURS, side, size)
 
     def _picture(
@@ -70,10 +70,7 @@ class ContactSurface:
 
 
 def contact_surfaces(view: View, threshold: float) -> tuple[ContactSurface, ContactSurface]:
-    """Return the object in its own frame, scaled, and the hand in the hand frame.
-
-    In contact within ``threshold`` [m].
-    """
+    """Return the scaled object in its frame and the hand in the hand frame; contact is within ``threshold`` [m]."""
     clip, T_hand_obj = view.clip, view.result.T_hand_obj
     surface, T = subdivide_object(view), len(T_hand_obj)
     grasped, faces, hand = view.result.scale * surface.vertices, surface.faces, clip.hand.vertices
@@ -90,20 +87,16 @@ def contact_surfaces(view: View, threshold: float) -> tuple[ContactSurface, Cont
     fingers = hand[middle, clip.hand.regions["middle"]].mean(axis=0) - hand[middle].mean(axis=0)
     about = fingers / max(float(np.linalg.norm(fingers)), 1e-9)
     beside = np.array([se3.exp_so3(sign * HAND_VIEW_ANGLE_RAD * about) @ palm for sign in (-1.0, 1.0)])
-    return (
-        ContactSurface(
-            np.tile(grasped, (T, 1, 1)), faces, on_object, np.array([most, -most]), _nearest_up_axis(-R_obj[:, 1], most)
-        ),
-        ContactSurface(hand, clip.hand.faces, on_hand, beside, fingers),
-    )
+    tiled, up = np.tile(grasped, (T, 1, 1)), _nearest_up_axis(-R_obj[:, 1], most)
+    of_object = ContactSurface(tiled, faces, on_object, np.array([most, -most]), up)
+    return of_object, ContactSurface(hand, clip.hand.faces, on_hand, beside, fingers)
 
 
 def subdivide_object(view: View) -> Mesh:
-    """Return the object's mesh with about ``N_CONTACT_VERTICES`` vertices, whose triangles can follow the border of contact."""
+    """Subdivide the object's mesh to about ``N_CONTACT_VERTICES`` vertices, fine enough for the border of contact."""
     mesh = view.clip.mesh
-    return Mesh(
-        *subdivide_surface(mesh.vertices, mesh.faces, edge_length(float(mesh.vertex_areas.sum()), N_CONTACT_VERTICES))
-    )
+    longest = edge_length(float(mesh.vertex_areas.sum()), N_CONTACT_VERTICES)
+    return Mesh(*subdivide_surface(mesh.vertices, mesh.faces, longest))
 
 
 def surface_distances(view: View, surface: Mesh, reach: float) -> tuple[Float[ndarray, "T V"], Float[ndarray, "T W"]]:
@@ -122,13 +115,13 @@ def _mean_contact_normal(
     contact: Float[ndarray, "T V"],
     instead: Float[ndarray, "3"],
 ) -> Float[ndarray, "3"]:
-    """Return the mean outward direction of the surface in contact; another where it never is in contact."""
+    """Return the mean normal of the surface in contact, or ``instead`` without contact."""
     mean = contact.mean(axis=0) @ vertex_normals(vertices, faces)
     return np.asarray(mean if np.linalg.norm(mean) > 1e-9 else instead)
 
 
 def _nearest_up_axis(up: Float[ndarray, "3"], side: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
-    """Return the axis of the object's frame that is nearest to ``up``, of those that are well visible from ``side``."""
+    """Return the signed coordinate axis nearest to ``up`` among those visible from ``side``."""
     across = np.abs(side) < 0.8 * np.linalg.norm(side)
     best = int(np.argmax(np.abs(up) * across))
     return np.asarray(np.eye(3)[best] * (1.0 if up[best] >= 0.0 else -1.0))
@@ -140,10 +133,10 @@ def decimate_view(view: View) -> View:
 
 
 def surface_gap(view: View) -> Float[ndarray, "T"]:
-    """Compute the smallest signed distance [m] of either hand and the object in each frame; below 0 they penetrate.
+    """Compute the smallest signed distance of either hand and the object in each frame [m]; negative in penetration.
 
-    It is the least over the hand's vertices, to the object, and the object's, to the hand. Of a mesh with more than
-    ``MAX_VIEW_FACES`` faces it is to be that of ``decimate_view``.
+    The minimum over the hand's vertices to the object and the object's vertices to the hand. A mesh of more than
+    ``MAX_VIEW_FACES`` faces should be decimated first (``decimate_view``).
     """
     out = _own_hand_gap(view)
     if (seen := view.by_other_hand()) is not None:
@@ -153,7 +146,6 @@ def surface_gap(view: View) -> Float[ndarray, "T"]:
 
 
 def _own_hand_gap(view: View) -> Float[ndarray, "T"]:
-    """Compute the gap of the clip's own hand."""
     T_hand_obj, hand = view.result.T_hand_obj, view.clip.hand
     grasped = Mesh(view.result.scale * view.clip.mesh.vertices, view.clip.mesh.faces)
     surface, faces = close_holes(grasped.vertices, grasped.faces)

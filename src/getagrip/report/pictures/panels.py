@@ -1,10 +1,7 @@
-"""Tiles of pictures: a result over the image, and rendered from the camera or turned, with its latent axis.
+"""Building blocks of pictures, in this order.
 
-Colours and letters that all pictures share.
-
-A distant camera that looks at something from a chosen side.
-
-A figure that is laid out in inches from its top left corner, with titles, square tiles and a legend.
+Colours and font; a distant camera for a rendering from any side; a sheet laid out in inches, with titles, square tiles
+and legends; and a tile's content: a result over the image, or rendered from the camera or the side, with its axis.
 """
 
 from __future__ import annotations
@@ -31,25 +28,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAPER_COLOUR, INK_COLOUR, MUTED_COLOUR, LINE_COLOUR = "#f4f4f1", "#2b2f33", "#8a9096", "#d9dad6"
-RESULT_COLOUR, AXIS_COLOUR, HIDDEN_AXIS_COLOUR, TRUTH_COLOUR, HAND_LINE_COLOUR = (
-    "#c8553d",
-    "#2a9d8f",
-    "#a8e0d5",
-    "#6c757d",
-    "#7b5ea7",
-)
+RESULT_COLOUR, TRUTH_COLOUR, HAND_LINE_COLOUR = "#c8553d", "#6c757d", "#7b5ea7"
+AXIS_COLOUR, HIDDEN_AXIS_COLOUR = "#2a9d8f", "#a8e0d5"
 STATE_COLOURS = {"static": "#6f9a8d", "contact": "#e0a458", "grasp": "#c8553d", "free": "#7b5ea7", "unknown": "#d9dad6"}
 """Colours of the states in a timeline's bar."""
 HAND_RGB, OBJECT_RGB = (0.87, 0.72, 0.63), (0.44, 0.58, 0.69)
 """Colours of rendered surfaces."""
 PAPER_RGB = (0xF4 / 255.0, 0xF4 / 255.0, 0xF1 / 255.0)
-"""``PAPER_COLOUR`` as rendered pictures take it."""
+"""``PAPER_COLOUR`` for rendered pictures."""
 BLANK_RGB, OBSERVED_MASK_RGB, IGNORED_MASK_RGB = (244, 244, 241), (126, 158, 184), (216, 200, 186)
-"""Colours of pixels, where masks are drawn for want of an image: neither, object, ignored."""
+"""Pixel colours of masks that are drawn in place of a missing image: neither, object, ignored."""
 
 
 def figure_style() -> AbstractContextManager[None]:
-    """Set the project's font, and its colours of text and axes, for figures that are drawn within."""
+    """Set the project's font and colours of text and axes for figures drawn in this context."""
     from matplotlib import rc_context
 
     return rc_context(
@@ -66,14 +58,14 @@ def figure_style() -> AbstractContextManager[None]:
 
 
 CAMERA_DISTANCE_RADII = 8.0
-"""In radii of what is looked at: nearly an orthographic view."""
+"""Distance in radii of the points: nearly an orthographic view."""
 TILE_FILL_FRACTION = 0.92
-"""Share of the tile that it fills."""
+"""Fraction of the tile's side that the points span."""
 
 
 @dataclass(frozen=True, eq=False)
 class DistantCamera:
-    """A camera: ``T_view_frame`` maps points [m] of the frame of what it looks at, ``K`` then to ``size`` pixels."""
+    """A camera: ``T_view_frame`` maps the points' frame to the view frame [m], ``K`` that to ``size`` pixels."""
 
     T_view_frame: Float[ndarray, "4 4"]
     K: Float[ndarray, "3 3"]
@@ -83,15 +75,14 @@ class DistantCamera:
 def look_at(
     points: Float[ndarray, "n 3"], side: Float[ndarray, "3"], up: Float[ndarray, "3"], size: int
 ) -> DistantCamera:
-    """Place a camera that sees all the points from the direction ``side``, with ``up`` upwards, of any length.
+    """Place a camera that sees all points from the direction ``side``, with ``up`` upwards; lengths do not matter.
 
-    Where ``up`` is along ``side``, or either is zero, another direction takes its place.
+    Where ``up`` is parallel to ``side``, or either is zero, a coordinate axis replaces it.
     """
     forward = -_normalise_or(side, np.array([0.0, 0.0, 1.0]))
-    other = np.eye(3)[np.argmin(np.abs(forward))]
-    down = -_normalise_or(
-        _orthogonal_component(np.asarray(up, dtype=float), forward), _orthogonal_component(other, forward)
-    )
+    axis = np.eye(3)[np.argmin(np.abs(forward))]
+    across, other = (_orthogonal_component(np.asarray(v, dtype=float), forward) for v in (up, axis))
+    down = -_normalise_or(across, other)
     R = np.stack([np.cross(down, forward), down, forward])
     seen = points @ R.T
     low, high = seen.min(axis=0), seen.max(axis=0)
@@ -108,18 +99,17 @@ def _orthogonal_component(v: Float[ndarray, "3"], along: Float[ndarray, "3"]) ->
 
 
 def _normalise_or(v: Float[ndarray, "3"], instead: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
-    """Normalise a vector; that of another where it is almost zero."""
     length = float(np.linalg.norm(v))
     return np.asarray(v / length if length > 1e-9 else instead / np.linalg.norm(instead))
 
 
 SHEET_TITLE_INCHES = 0.78
-"""Height of the title and the line under it [in]."""
+"""Height of a sheet's title and subtitle [in]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A figure and its size [in]; ``dpi`` pixels an inch."""
+    """A figure laid out in inches from its top left corner, with ``dpi`` pixels an inch."""
 
     figure: Figure
     width: float
@@ -138,25 +128,25 @@ class Sheet:
         return Sheet(figure, width, height, dpi)
 
     def pixels(self, inches: float) -> int:
-        """Return the pixels of a length."""
+        """Convert a length to pixels."""
         return round(inches * self.dpi)
 
     def axes(self, x: float, top: float, width: float, height: float) -> Axes:
-        """Add axes at a place."""
+        """Add axes with the top left corner at ``x`` and ``top`` [in]."""
         return self.figure.add_axes(
             (x / self.width, 1.0 - (top + height) / self.height, width / self.width, height / self.height)
         )
 
     def tile(self, x: float, top: float, side: float) -> Axes:
-        """Add square axes without ticks, which count pixels."""
+        """Add square axes in pixel coordinates, without ticks."""
         size, axes = self.pixels(side), self.axes(x, top, side, side)
         axes.set(xticks=[], yticks=[], xlim=(0, size), ylim=(size, 0), facecolor=PAPER_COLOUR)
         return axes
 
     def text(self, x: float, top: float, words: str, within: float = np.inf, **style: Any) -> None:
-        """Write words at a place, as they are: a dollar sign in a name begins no formula.
+        """Write words verbatim: a dollar sign in a name begins no formula.
 
-        Words that are wider than ``within`` [in] are shortened in the middle: names of clips differ at their ends.
+        Words wider than ``within`` [in] are shortened in the middle, since names of clips differ at their ends.
         """
         style = {"va": "top", "color": INK_COLOUR} | style
         text = self.figure.text(x / self.width, 1.0 - top / self.height, words, parse_math=False, **style)
@@ -166,12 +156,12 @@ class Sheet:
             text.set_text(f"{words[: (kept + 1) // 2].rstrip()}...{words[len(words) - kept // 2 :].lstrip()}")
 
     def title(self, words: str, under: str) -> None:
-        """Write the title, and a line under it; ``SHEET_TITLE_INCHES`` is their height."""
+        """Write the title and the subtitle, of height ``SHEET_TITLE_INCHES``."""
         self.text(0.25, 0.17, words, self.width - 0.4, fontsize=13, fontweight="bold")
         self.text(0.25, 0.47, under, self.width - 0.4, fontsize=9.5, color=MUTED_COLOUR)
 
     def legend(self, x: float, top: float, entries: Sequence[tuple[str, str]], style: str = "line") -> None:
-        """Draw colours and the meaning of each, side by side: as lines, dots or squares."""
+        """Draw (colour, meaning) entries side by side, in the ``style`` line, dots or square."""
         from matplotlib.lines import Line2D
 
         drawn = {
@@ -195,42 +185,38 @@ def draw_border(axes: Axes, colour: str = LINE_COLOUR, width: float = 0.8) -> No
 
 
 SIDE_VIEW_ANGLE_RAD = np.radians(80.0)
-"""The turned view looks from this far to the left."""
+"""Angle of the side view, to the left of the camera."""
 CROP_MARGIN_FACTOR = 1.10
 """Size of windows, relative to the content."""
 AxisLine = tuple[Float[ndarray, "n 2"], Bool[ndarray, "n"]]
-"""The latent axis in a picture: its points [px], and which of them nothing hides."""
+"""The latent axis in a picture: points [px], and True for visible ones."""
 
 
 def content_windows(views: Sequence[View], frames: Int[ndarray, "n"], size: int) -> Crops:
     """Return square windows of one size around hand and object of all views, at the same frames of one clip."""
-    boxes = []
-    for n in frames:
-        uv = np.concatenate([project(v.clip.K[n], np.concatenate([v.hand(n), v.object(n)])) for v in views])
-        boxes.append(np.concatenate([uv.min(axis=0), uv.max(axis=0)]))
-    return _square_windows(np.array(boxes), size)
+    shown = [[project(v.clip.K[n], np.concatenate([v.hand(n), v.object(n)])) for v in views] for n in frames]
+    return _square_windows(shown, size)
 
 
 def input_windows(views: Sequence[View], frames: Int[ndarray, "n"], size: int) -> Crops:
-    """Return windows around the hands and the observed masks, so that an object far off makes nothing small."""
-    boxes = []
+    """Return windows around hands and observed masks, whose size a wrong, distant object does not affect."""
+    shown = []
     for n in frames:
-        uv = [project(view.clip.K[n], view.hand(n)) for view in views]
+        shown.append([project(view.clip.K[n], view.hand(n)) for view in views])
         for masks in (view.masks for view in views if view.masks is not None and view.masks.object[n].any()):
-            uv.append(bounding_boxes(masks.object[n : n + 1]).reshape(2, 2).astype(float))
-        corners = np.concatenate(uv)
-        boxes.append(np.concatenate([corners.min(axis=0), corners.max(axis=0)]))
-    return _square_windows(np.array(boxes), size)
+            shown[-1].append(bounding_boxes(masks.object[n : n + 1]).reshape(2, 2).astype(float))
+    return _square_windows(shown, size)
 
 
-def _square_windows(boxes: Float[ndarray, "n 4"], size: int) -> Crops:
-    low, high = np.split(boxes, 2, axis=1)
+def _square_windows(shown: Sequence[Sequence[Float[ndarray, "_n 2"]]], size: int) -> Crops:
+    low = np.array([np.concatenate(points).min(axis=0) for points in shown])
+    high = np.array([np.concatenate(points).max(axis=0) for points in shown])
     side = CROP_MARGIN_FACTOR * float((high - low).max())
     return Crops(corner=(low + high - side) / 2.0, side=side, size=size)
 
 
 def draw_over_image(axes: Axes, view: View, n: int, crops: Crops, k: int, with_hand: bool = False) -> None:
-    """Draw the image or the masks in window ``k``, the object's contour and, if wanted, the hand's."""
+    """Draw the image or the masks in window ``k``, the object's contour and, with ``with_hand``, the hands'."""
     show_picture(axes, crop_image(view, n, crops, k))
     K = window_intrinsics(view, n, crops, k)
     if with_hand:
@@ -245,15 +231,13 @@ def crop_image(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size
     shift = -crops.corner[k] * crops.zoom
     centre = shift + crops.zoom / 2.0 - 0.5  # cv2 counts from the centre of the first pixel
     warp = np.array([[crops.zoom, 0.0, centre[0]], [0.0, crops.zoom, centre[1]]])
-    size = (crops.size, crops.size)
-    picture = cv2.warpAffine(
-        _frame_image(view, n), warp, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=BLANK_RGB
-    )
+    image, size = _frame_image(view, n), (crops.size, crops.size)
+    picture = cv2.warpAffine(image, warp, size, borderMode=cv2.BORDER_CONSTANT, borderValue=BLANK_RGB)
     return np.asarray(picture, dtype=np.uint8)
 
 
 def draw_rendered(axes: Axes, view: View, n: int, crops: Crops, k: int, from_side: bool) -> None:
-    """Draw hand, object and axis in window ``k``, from the camera; or from the side, at the same scale if it fits."""
+    """Draw hand, object and axis in window ``k``, from the camera, or from the side at the same scale if it fits."""
     picture, line = render_posed(view, n, crops, k, from_side)
     show_picture(axes, picture)
     if line is not None:
@@ -263,7 +247,7 @@ def draw_rendered(axes: Axes, view: View, n: int, crops: Crops, k: int, from_sid
 def render_posed(
     view: View, n: int, crops: Crops, k: int, from_side: bool
 ) -> tuple[UInt8[ndarray, "size size 3"], AxisLine | None]:
-    """Render hand and object in window ``k``, as ``draw_rendered`` shows it, and return the axis in it, if there is one."""
+    """Render hand and object in window ``k``, as ``draw_rendered`` shows it; also return the axis, None without one."""
     K, size = window_intrinsics(view, n, crops, k), crops.size
     hand, (grasped, faces) = view.hand(n), view.surface(n)
     T_view_cam = np.eye(4)
@@ -275,7 +259,7 @@ def render_posed(
         K = np.array([[K[0, 0], 0.0, size / 2.0], [0.0, K[1, 1], size / 2.0], [0.0, 0.0, 1.0]])
     others = [(se3.transform(T_view_cam, v), f) for v, f in view.hands(n)[1:]]
     hand, grasped = se3.transform(T_view_cam, hand), se3.transform(T_view_cam, grasped)
-    if from_side:  # an object far before or behind the hand would be cut off
+    if from_side:  # else an object far before or behind the hand is cut off
         reach = np.abs(project(K, np.concatenate([hand, grasped])) - size / 2.0).max()
         K[:2, :2] *= min(1.0, 0.48 * size / reach)
     meshes = [(hand, view.clip.hand.faces, HAND_RGB), *(((grasped, faces, OBJECT_RGB),) if len(faces) else ())]
@@ -299,17 +283,14 @@ def axis_points(view: View) -> Float[ndarray, "n 3"]:
 def draw_axis_line(
     axes: Axes, line: Float[ndarray, "n 3"], surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: int
 ) -> None:
-    """Draw a line in the frame of the view.
-
-    Whole where it is visible, dots where one of the surfaces is in front of it.
-    """
+    """Draw a line in the view frame: solid where visible, dotted where one of the surfaces hides it."""
     _draw_axis_segments(axes, *_project_visible(line, surfaces, K, size))
 
 
 def _project_visible(
     line: Float[ndarray, "n 3"], surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: int
 ) -> AxisLine:
-    """Return the places of a line in a picture, and where none of the surfaces is in front of it."""
+    """Project a line into a picture, and find the points that no surface hides."""
     line = line[line[:, 2] > 0.05]
     uv = project(K, line)
     depth = np.min([depth_and_face(*surface, K, (size, size))[0] for surface in surfaces], axis=0)
@@ -318,11 +299,10 @@ def _project_visible(
 
 
 def _draw_axis_segments(axes: Axes, uv: Float[ndarray, "n 2"], visible: Bool[ndarray, "n"]) -> None:
-    axes.plot(*np.where(visible[:, None], uv, np.nan).T, color="white", linewidth=3.0, alpha=0.7)
-    axes.plot(*np.where(visible[:, None], uv, np.nan).T, color=AXIS_COLOUR, linewidth=1.6)
-    axes.plot(
-        *np.where(visible[:, None], np.nan, uv).T, color=HIDDEN_AXIS_COLOUR, linewidth=1.3, linestyle=(0, (1, 1.6))
-    )
+    shown, hidden = np.where(visible[:, None], uv, np.nan), np.where(visible[:, None], np.nan, uv)
+    axes.plot(*shown.T, color="white", linewidth=3.0, alpha=0.7)
+    axes.plot(*shown.T, color=AXIS_COLOUR, linewidth=1.6)
+    axes.plot(*hidden.T, color=HIDDEN_AXIS_COLOUR, linewidth=1.3, linestyle=(0, (1, 1.6)))
 
 
 def show_picture(axes: Axes, picture: UInt8[ndarray, "H W 3"]) -> None:
@@ -340,7 +320,7 @@ def draw_contour(
     colour: str,
     halo: bool = True,
 ) -> None:
-    """Draw the boundary of a surface's silhouette; with a halo it stands out from any image."""
+    """Draw the boundary of a surface's silhouette, with a white halo for contrast."""
     for line in silhouette_lines(vertices, faces, K, size):
         if halo:
             axes.plot(*line.T, color="white", linewidth=2.6, alpha=0.8, solid_joinstyle="round")
@@ -351,7 +331,7 @@ def silhouette_lines(
     vertices: Float[ndarray, "_V 3"], faces: Int[ndarray, "_F 3"], K: Float[ndarray, "3 3"], size: int
 ) -> list[Float[ndarray, "_n 2"]]:
     """Return the closed lines that bound a surface's silhouette in a picture [px]."""
-    fine = np.diag([2.0, 2.0, 1.0]) @ K  # else the contour shows the picture's pixels
+    fine = np.diag([2.0, 2.0, 1.0]) @ K  # else the contour follows the picture's pixels
     return [line / 2.0 for line in mask_contours(render_coverage(vertices, faces, fine, (2 * size, 2 * size)))]
 
 
@@ -361,9 +341,8 @@ def window_intrinsics(view: View, n: int, crops: Crops, k: int) -> Float[ndarray
 
 
 def _frame_image(view: View, n: int) -> UInt8[ndarray, "H W 3"]:
-    """Return the frame's image where the clip has one, else its masks in colours."""
-    file = view.image_file(n)
-    if file is not None:
+    """Read the frame's image or, without one, draw its masks."""
+    if (file := view.image_file(n)) is not None:
         return read_image(file, view.clip.size)
     width, height = view.clip.size
     picture = np.full((height, width, 3), BLANK_RGB, dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""One picture of a reconstruction: over the images, from the camera and from the side, and the motion over time."""
+"""The report of a result in one picture: tiles of the images and renderings, above plots of angle and IOU over time."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from getagrip.report.pictures.panels import (
     PAPER_COLOUR,
     RESULT_COLOUR,
     TRUTH_COLOUR,
+    Sheet,
     content_windows,
     draw_over_image,
     draw_rendered,
@@ -35,12 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-N_REPORT_TILES = 5
-"""Frames shown."""
-REPORT_TILE_PX = 320
-"""Side of a tile [px]."""
-FINDING_LINE_CHARACTERS = 150
-"""In a line of a finding."""
+N_REPORT_TILES, REPORT_TILE_PX, FINDING_LINE_CHARACTERS = 5, 320, 150
 TITLE_METRICS = {"ADD": ADD_MM, "ADD sym.": ADD_SYM_MM, "rotation": ROTATION_SYM}
 """Metrics in the title, each under a short name."""
 
@@ -76,12 +72,11 @@ def write_report(
 def report_figure(
     result: Reconstruction, clip: Clip, masks: Masks | None, metrics: Mapping[str, float] | None = None
 ) -> Figure:
-    """Draw the report as a matplotlib figure: three rows of tiles, one tile per frame shown, above two plots over time.
+    """Draw the report as a matplotlib figure: three rows of tiles, one column a frame, above two plots over time.
 
-    ``clip`` and ``masks`` may have more frames than the result. ``metrics`` are those of ``evaluate``; those in
-    ``TITLE_METRICS`` are shown if given. Images are read from the clip's folder where it has them; without images the masks are
-    drawn. Raises ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for masks of
-    another clip or an unknown method.
+    ``clip`` and ``masks`` may have more frames than the result. ``metrics`` are those of ``evaluate``, of which the
+    title shows ``TITLE_METRICS``. Without images in the clip's folder the masks are drawn. Raises ``InputError`` for a
+    frame of the result that the clip lacks, ``UsageError`` for masks of another clip or an unknown method.
     """
     if masks is not None:
         check_masks(clip, masks)
@@ -103,10 +98,7 @@ def _draw_report(view: View, metrics: Mapping[str, float]) -> Figure:
         height = head + 3 * tile + 2 * gap + between + plots + foot
         figure = Figure(figsize=(width, height), dpi=130)
         FigureCanvasAgg(figure)
-
-        def place(x: float, top: float, w: float, h: float) -> Axes:
-            return figure.add_axes((x / width, 1.0 - (top + h) / height, w / width, h / height))
-
+        sheet = Sheet(figure, width, height, 130)
         _draw_report_title(figure, view, metrics, left / width, 1.0 - 0.2 / height, 0.27 / height)
         figure.text(left / width, 1.0 - 1.02 / height, "\n".join(lines), color=RESULT_COLOUR, fontsize=9.5, va="top")
         frames = np.unique(np.linspace(0, len(view.result.frames) - 1, N_REPORT_TILES).round().astype(int))
@@ -116,10 +108,9 @@ def _draw_report(view: View, metrics: Mapping[str, float]) -> Figure:
             top = head + row * (tile + gap)
             figure.text(0.35 / width, 1.0 - (top + tile / 2) / height, label, rotation=90, ha="center", va="center")
             for k, n in enumerate(frames):
-                axes = place(left + k * (tile + gap), top, tile, tile)
-                axes.set(
-                    xticks=[], yticks=[], xlim=(0, REPORT_TILE_PX), ylim=(REPORT_TILE_PX, 0), facecolor=PAPER_COLOUR
-                )
+                axes = sheet.axes(left + k * (tile + gap), top, tile, tile)
+                limits = {"xlim": (0, REPORT_TILE_PX), "ylim": (REPORT_TILE_PX, 0)}
+                axes.set(xticks=[], yticks=[], facecolor=PAPER_COLOUR, **limits)
                 if row == 0:
                     draw_over_image(axes, view, int(n), crops, k)
                     axes.set_title(view.result.frames[n], fontsize=8.5, color=MUTED_COLOUR, pad=4)
@@ -127,8 +118,8 @@ def _draw_report(view: View, metrics: Mapping[str, float]) -> Figure:
                     draw_rendered(axes, view, int(n), crops, k, from_side=row == 2)
         top = head + 3 * tile + 2 * gap + between
         half = (width - left - right - 0.75) / 2.0
-        _angle_plot(place(left, top, half, plots), view)
-        _iou_plot(place(left + half + 0.75, top, half, plots), view)
+        _angle_plot(sheet.axes(left, top, half, plots), view)
+        _iou_plot(sheet.axes(left + half + 0.75, top, half, plots), view)
     return figure
 
 
@@ -137,22 +128,16 @@ def _draw_report_title(
 ) -> None:
     result, clip = view.result, view.clip
     title = figure.text(x, y, clip.name, fontsize=15, fontweight="bold", va="top")
-    facts = [
-        label_of(result.method),
-        view.frames_in_words,
-        f"{clip.side} hand" if clip.other_hand is None else "both hands",
-        *view.size_in_words,
-    ]
-    line = figure.text(x, y - 1.25 * step, "  ·  ".join(facts), color=MUTED_COLOUR, fontsize=9.5, va="top")
+    hand = f"{clip.side} hand" if clip.other_hand is None else "both hands"
+    facts = "  ·  ".join([label_of(result.method), view.frames_in_words, hand, *view.size_in_words])
+    line = figure.text(x, y - 1.25 * step, facts, color=MUTED_COLOUR, fontsize=9.5, va="top")
     said = "  ·  ".join(filter(None, (result.message, result.looks)))
     figure.text(x, y - 2.0 * step, said, color=INK_COLOUR, fontsize=9.5, va="top")
 
     numbers = [("IOU", f"{100 * result.mean_iou:.1f} %")]
     if known := result.probabilities:
-        frames = (f"{where.split()[-1]}{'*' if one.beyond else ''}" for where, one in known.items())
-        numbers.append(
-            (f"probability: {', '.join(frames)}", ", ".join(format_probability(one.value) for one in known.values()))
-        )
+        frames = ", ".join(f"{where.split()[-1]}{'*' if one.beyond else ''}" for where, one in known.items())
+        numbers.append((f"probability: {frames}", ", ".join(format_probability(one.value) for one in known.values())))
     for name, metric in TITLE_METRICS.items():
         if metric.name in metrics:
             unit = "°" if metric.unit == "deg" else f" {metric.unit}"
@@ -188,9 +173,8 @@ def _angle_plot(axes: Axes, view: View) -> None:
     t, curve = result_times(view), angle_curve(view)
     _style_time_axes(axes, f"{curve.title} [°]")
     if curve.true is not None:
-        axes.plot(
-            t, np.degrees(curve.true), color=TRUTH_COLOUR, linewidth=1.4, linestyle=(0, (4, 2)), label="ground truth"
-        )
+        true = np.degrees(curve.true)
+        axes.plot(t, true, color=TRUTH_COLOUR, linewidth=1.4, linestyle=(0, (4, 2)), label="ground truth")
     axes.plot(t, np.degrees(curve.found), color=AXIS_COLOUR, linewidth=2.0, label="reconstructed")
     if curve.true is not None:
         axes.legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 0.98), borderpad=0.0)

@@ -1,4 +1,4 @@
-"""The view that pictures show: a result with its clip and masks, another candidate in its place, its curves."""
+"""The view that pictures show: a result or one of its candidates with clip and masks, and its curves over time."""
 
 from __future__ import annotations
 
@@ -21,26 +21,23 @@ from getagrip.stable_grasps.axis import pose_hinge
 
 @dataclass(frozen=True)
 class View:
-    """A result with its clip and masks at the result's frames.
-
-    The clip's hand has the result's poses, and its mesh the result's shape.
-    """
+    """A result with its clip and masks at the result's frames, with hand and mesh as the result has them."""
 
     clip: Clip
     masks: Masks | None
     result: Reconstruction
     input_mesh: Mesh | None = None
-    """The mesh as it was given, which the ground truth poses; None where it is the clip's."""
+    """The clip's mesh before the mesh fit, which the ground truth poses; None: ``clip.mesh``."""
     of_truth: bool = False
-    """True if the result is the clip's ground truth, given its form (``true_view``)."""
+    """True if the result is the clip's ground truth (``ground_truth_view``)."""
     posed: bool = True
-    """True if the object's poses are known; else there is the hand alone (``hand_alone``)."""
+    """True if the object's poses are known; False for a hand alone (``hand_only_view``)."""
     frame_meshes: Sequence[Mesh | None] | None = None
-    """A mesh for each frame, in the hand frame [m], of a system without a CAD model; it counts instead of the poses."""
+    """A mesh per frame in the hand frame [m], from a system without a CAD model, in place of the posed mesh."""
 
     @property
     def frames_in_words(self) -> str:
-        """How many frames there are and, where they differ, how their poses were found."""
+        """Number of frames and, where they differ, their kinds."""
         counts = Counter(self.result.frame_kind)
         kinds = ", ".join(f"{count} {kind}" for kind, count in counts.most_common())
         return f"{len(self.result.frames)} frames" + (f" ({kinds})" if len(counts) > 1 else "")
@@ -53,7 +50,7 @@ class View:
         return [size, *hand, *["shape is a guess"] * (self.result.warp is not None)]
 
     def called(self, segment: Segment) -> tuple[str, ...]:
-        """Return the name of a segment, and a short one."""
+        """Return the names of a segment, the long one first."""
         words = segment.state if segment.side is None else f"{segment.state}, {segment.side} hand"
         followed = {segment.first for segment in self.result.segments if segment.by_masks}
         by_masks = self.clip.frames[segment.first] in followed
@@ -64,10 +61,7 @@ class View:
         return se3.transform(self.clip.hand.T_cam_hand[n], self.clip.hand.vertices[n])
 
     def hands(self, n: int) -> list[Surface]:
-        """Return the hands in the camera frame.
-
-        These are the clip's own, and the other one in the frames in which it is known.
-        """
+        """Return the hands in the camera frame [m]: the clip's own and, where known, the other one."""
         other = self.clip.other_hand
         shown = [(self.hand(n), self.clip.hand.faces)]
         if other is not None and other.known[n]:
@@ -75,10 +69,7 @@ class View:
         return shown
 
     def by_other_hand(self) -> View | None:
-        """Return the view with the other hand for the clip's own, in the frames in which it is known.
-
-        None without any.
-        """
+        """Return the view relative to the other hand, at the frames in which that is known; None without any."""
         seen = self.clip.with_side(self.clip.other_side)
         known = np.flatnonzero(self.clip.hand_known(self.clip.other_side))
         if seen is None or not len(known):
@@ -102,13 +93,13 @@ class View:
 
     @staticmethod
     def of(result: Reconstruction, clip: Clip, masks: Masks | None) -> View:
-        """Make the view of a result with a clip and masks at its frames, its hand and mesh as they are to be drawn."""
+        """Make the view of a result with a clip and masks at the same frames."""
         light = clip.light()
         seen = light.warped(result.warp).with_hand_at(result.T_cam_hand, result.T_cam_other_hand, result.hand_scale)
         return View(seen, masks, result, light.mesh)
 
     def image_file(self, n: int) -> Path | None:
-        """Return the frame's image, where the clip has one."""
+        """Return the file of the frame's image; None without one."""
         return self.clip.image_file(n)
 
     def at(self, frames: Sequence[str]) -> View:
@@ -132,7 +123,7 @@ class View:
         return replace(self, clip=self.clip.take(index), masks=masks, result=taken, frame_meshes=meshes)
 
     def true(self) -> View | None:
-        """Return the ground truth in place of the result; None where it is not known."""
+        """Return the view of the ground truth; None where unknown."""
         truth = self.clip.truth
         if truth is None:
             return None
@@ -144,24 +135,18 @@ class View:
 
 
 def candidate_view(view: View, rank: int) -> View:
-    """Return the result for rank 0; else the candidate, with the axis that fits its poses best, and without an IOU."""
+    """Return the view of candidate ``rank``, with the axis fitted to its poses and without IOU; 0 is the result."""
     if rank == 0:
         return view
     found = view.result
     T_hand_obj, scale = found.candidates.T_hand_obj[rank], float(found.candidates.scale[rank])
     axis = None if found.axis is None else fit_hinge_axis(T_hand_obj, scale * view.clip.mesh.vertices)
-    other = replace(
-        found, T_hand_obj=T_hand_obj, scale=scale, iou=np.full(len(found.frames), np.nan), axis=axis,
-        findings=(), probability_right=None, probability_right_in_camera=None,
-    )  # fmt: skip
-    return replace(view, result=other)
+    other = replace(found, T_hand_obj=T_hand_obj, scale=scale, iou=np.full(len(found.frames), np.nan), axis=axis)
+    return replace(view, result=replace(other, findings=(), probability_right=None, probability_right_in_camera=None))
 
 
 def fit_hinge_axis(T_hand_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"]) -> Axis | None:
-    """Fit the axis about which poses turn best (Eq. 4), with the angles from the first frame on.
-
-    None for a single pose.
-    """
+    """Fit the axis of poses (Eq. 4), with angles relative to the first frame [rad]; None for a single pose."""
     if len(T_hand_obj) < 2:
         return None
     centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
@@ -173,7 +158,7 @@ def fit_hinge_axis(T_hand_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray,
 
 @dataclass(frozen=True, eq=False)
 class AngleCurve:
-    """An angle of the object in each of T frames [rad], of the result and, where it is known, of the ground truth."""
+    """An angle of the object in each of T frames [rad], of the result and, where known, of the ground truth."""
 
     title: str
     """Name of the angle."""
@@ -182,13 +167,13 @@ class AngleCurve:
 
 
 def result_times(view: View) -> Float[ndarray, "T"]:
-    """Return the times of the frames since the first."""
+    """Return the frames' times since the first frame [s]."""
     times = view.clip.time[view.clip.index_of(view.result.frames)]
     return np.asarray(times - times[0])
 
 
 def angle_curve(view: View) -> AngleCurve:
-    """Return the angle about the axis, less its mean; or, without an axis, of the rotation since the first frame."""
+    """Return the angle about the axis minus its mean or, without an axis, of the rotation since the first frame."""
     result, truth = view.result, view.clip.truth
     true = None if truth is None else (se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj)[:, :3, :3]
     if result.axis is None:

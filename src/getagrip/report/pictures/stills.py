@@ -1,4 +1,4 @@
-"""Frames as plain pictures, for films and pages: over the image, and turned."""
+"""Single frames as pictures, for films and pages: over the image, and from the side."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from getagrip.report.pictures.panels import (
 from getagrip.report.pictures.result_view import View
 
 WINDOW_SMOOTHING_S = 0.35
-"""Windows move as smoothly as a mean over this time [s]."""
+"""Standard deviation in time of the smoothing of windows [s]."""
 WINDOW_MARGIN_FACTOR = 1.12
-"""Factor by which they are larger than those of single frames, since they lag behind."""
+"""Size of smoothed windows, which lag behind, relative to windows of single frames."""
 SUBPIXEL_BITS = 3
-"""Bits after the point of coordinates that OpenCV draws at."""
+"""Fractional bits of the coordinates that OpenCV draws at."""
 
 
 def smooth_windows(view: View, size: int) -> Crops:
-    """Return a square window around hand and masks in each frame, of one size, that moves smoothly."""
+    """Return square windows of one size around hand and masks, one a frame, that move smoothly."""
     crops = input_windows([view], np.arange(len(view.result.frames)), size)
     middle = crops.corner + crops.side / 2.0
     smooth = smooth_track(middle, WINDOW_SMOOTHING_S * view.clip.fps)
@@ -42,7 +42,7 @@ def smooth_windows(view: View, size: int) -> Crops:
 
 
 def smooth_track(track: Float[ndarray, "T k"], over: float) -> Float[ndarray, "T k"]:
-    """Smooth a track by a Gaussian of ``over`` frames; its ends are repeated beyond it."""
+    """Smooth a track by a Gaussian with a standard deviation of ``over`` frames; ends are repeated."""
     reach = int(4.0 * over + 0.5)
     weight = np.exp(-0.5 * (np.arange(-reach, reach + 1) / over) ** 2)
     padded = np.pad(track, ((reach, reach), (0, 0)), mode="edge")
@@ -64,19 +64,17 @@ def draw_side_view(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "
     picture, line = render_posed(view, n, crops, k, from_side=True)
     if line is not None:
         uv, visible = line
-        _draw_polylines(
-            picture, _contiguous_parts(uv, ~visible), HIDDEN_AXIS_COLOUR, crops.size / 480.0, closed=False, halo=False
-        )
+        hidden = _contiguous_parts(uv, ~visible)
+        _draw_polylines(picture, hidden, HIDDEN_AXIS_COLOUR, crops.size / 480.0, closed=False, halo=False)
         _draw_polylines(picture, _contiguous_parts(uv, visible), AXIS_COLOUR, crops.size / 320.0, closed=False)
     return picture
 
 
 def _contiguous_parts(uv: Float[ndarray, "n 2"], chosen: Bool[ndarray, "n"]) -> list[Float[ndarray, "_n 2"]]:
-    """Return the chosen points of a line, where they follow one another."""
+    """Split a line into its runs of chosen points."""
     ends = np.flatnonzero(np.diff(chosen.astype(int))) + 1
-    return [
-        part for part, first in zip(np.split(uv, ends), np.split(chosen, ends), strict=True) if len(part) and first[0]
-    ]
+    parts = zip(np.split(uv, ends), np.split(chosen, ends), strict=True)
+    return [part for part, is_chosen in parts if len(part) and is_chosen[0]]
 
 
 def _draw_polylines(
@@ -87,9 +85,8 @@ def _draw_polylines(
     closed: bool = True,
     halo: bool = True,
 ) -> None:
-    """Lines of a colour ``#rrggbb``, on a white halo if wanted."""
     rgb = tuple(bytes.fromhex(colour[1:]))
-    # OpenCV counts from the centre of the first pixel
+    # OpenCV's origin is the centre of the first pixel
     points = [np.round((line - 0.5) * 2**SUBPIXEL_BITS).astype(np.int32)[:, None] for line in lines]
     for drawn, thick in (((255, 255, 255), 2.8 * width), (rgb, 1.3 * width))[not halo :]:
         cv2.polylines(picture, points, closed, drawn, max(1, round(thick)), cv2.LINE_AA, SUBPIXEL_BITS)

@@ -1,4 +1,4 @@
-"""Results and clips in folders, as views: one, and several of one clip at the frames that all of them have."""
+"""Views of results and clips in folders, also of several results of one clip at their common frames."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from getagrip.stable_grasps.study import object_in_hand
 
 @dataclass(frozen=True)
 class StoredResult:
-    """A result's folder, and where to look for its clip (None: where the result says); or a clip's."""
+    """The folder of a result or a clip; ``clips`` holds the result's clip (None: the clip that the result names)."""
 
     folder: Path
     clips: Path | None = None
@@ -40,11 +40,9 @@ def is_clip(folder: Path) -> bool:
 
 
 def ground_truth_view(folder: Path) -> View:
-    """Return all frames of a clip with the true poses of hand and object (the paper's Fig.
+    """Return all frames of a clip with the true poses of hand and object, as in the paper's Figs. 2 and 3.
 
-    2, 3). Raises ``InputError``.
-
-    The axis is that of the hinge of least error, which the study measures too (``pose_hinge``).
+    The axis is the hinge of least error (``pose_hinge``), as in the study. Raises ``InputError`` without ground truth.
     """
     clip = read_clip(folder).light()
     truth = clip.truth
@@ -60,14 +58,14 @@ def ground_truth_view(folder: Path) -> View:
 
 
 def hand_only_view(clip: Clip) -> View:
-    """Return a clip of which no pose of the object is known."""
+    """Return the view of a clip without poses of the object."""
     still = np.tile(np.eye(4), (len(clip), 1, 1))
     nothing = Reconstruction.external(clip.name, "", clip.frames, still)
     return View(clip.light(), None, nothing, posed=False)
 
 
 def at_common_frames(results: Sequence[tuple[StoredResult, View]]) -> list[View]:
-    """Return the results at the frames that all of them have. Raises ``InputError`` where they are not of one clip."""
+    """Return the views at their common frames. Raises ``InputError`` for results of several clips or without any."""
     first, one = results[0]
     for value, view in results[1:]:
         if view.clip.name != one.clip.name:
@@ -85,7 +83,7 @@ def at_common_frames(results: Sequence[tuple[StoredResult, View]]) -> list[View]
 
 
 def distinct_path_parts(results: Sequence[StoredResult]) -> list[str]:
-    """Return the distinct parts of the results' paths, without what all begin and end with."""
+    """Return the parts in which the results' paths differ, without the common beginning and end."""
     paths = [value.folder.resolve().parts for value in results]
     if len(paths) == 1:
         return [paths[0][-1]]
@@ -95,6 +93,5 @@ def distinct_path_parts(results: Sequence[StoredResult]) -> list[str]:
 
 
 def _common_prefix_length(paths: Sequence[Sequence[str]]) -> int:
-    """Parts that all begin with."""
     alike = (len(set(parts)) == 1 for parts in zip(*paths, strict=False))
     return next((n for n, same in enumerate(alike) if not same), min(map(len, paths)))

@@ -1,13 +1,8 @@
-"""Find the hands of a video without clicks: landmarks, 3D hands and masks, for the page and for ``clip new``.
+"""Detect the hand of a video without clicks: landmarks, 3D hands and masks, for the page and for ``clip new``.
 
-The folder ``found`` beside the marks gets ``hand.npz``, a hand file whose frames are numbered from 1 and which keeps
-the landmarks as ``joints_2d``, and ``masks/<number>.png``.
-
-Hands that were found in a video before anybody clicked: joints in every frame, and the hand's masks.
-
-A folder ``found`` beside the marks holds ``hand.npz``, whose ``frames`` are places from 1 and whose
-``joints_2d`` (T, 21, 2) [px] are drawn, and ``masks/<number>.png``, non-zero where the hand is visible. Both are
-optional.
+The folder ``found`` beside the marks holds ``hand.npz``, a hand file whose ``frames`` are numbered from 1 and whose
+``joints_2d`` (T, 21, 2) [px] are the landmarks, and ``masks/<number>.png``, non-zero where the hand is visible. Both
+are optional when the folder is read.
 """
 
 from __future__ import annotations
@@ -44,25 +39,38 @@ from getagrip.studio.hands.relift_hands import JOINTS_DEPTH_KEY
 from getagrip.studio.masks.box_prompt import MIN_BOX_CORRELATION, MIN_BOX_SIDE_PX, downscale_image, track_box
 
 DETECTED_HANDS_FOLDER = "found"
-"""Beside the marks."""
 DRAFTS_FOLDER = "drafts"
-"""Beside the marks of several videos: a folder for each, of its draft."""
+"""Folder, beside the marks of several videos, of the drafts of each."""
+CUT_THUMBNAIL_PX = 24
+"""Side of the thumbnails in which cuts are detected [px]."""
+SHOT_CUT_THRESHOLDS = (25.0, 0.4)
+"""Thresholds of a cut: mean difference of two frames [of 255], and fraction of pixels whose colour changes."""
+JUMP_THRESHOLDS = (4.0, 1.0, 5)
+"""Thresholds of a jump: difference of two frames as a multiple of the differences before and after, mean difference
+[of 255]; number of frames on each side."""
+N_BOX_TRACKING_FRAMES, MAX_TRACKING_SIDES_PX = 60, (48.0, 960.0)
+"""Number of frames through which the object's box is tracked, and largest sides of box and image in tracking [px]."""
+OUTSIDE_CONFIDENCE_FACTOR = 0.25
+"""Factor on the confidence of landmarks outside the image."""
+REACHING_POSE_SIGMA_RAD = 0.2
+"""Standard deviation of each parameter of the fingers' pose from its mean, larger than in a grasp, since the hand also
+reaches and lets go [rad]."""
 
 
 @dataclass(frozen=True)
 class HandDetectionFiles:
-    """The contents of the folder."""
+    """The files of a folder ``found``."""
 
     folder: Path
 
     @property
     def path(self) -> Path:
-        """The hand file; it need not exist."""
+        """The hand file, which may be missing."""
         return self.folder / "hand.npz"
 
     @cached_property
     def joints(self) -> dict[int, Float[ndarray, "21 2"]]:
-        """By frame from 0, NaN where a joint was not found [px]. Raises ``InputError`` for a malformed file."""
+        """Joints by frame from 0, NaN where missing [px]. Raises ``InputError`` for a malformed file."""
         if not self.path.is_file():
             return {}
         content = arrays.read(self.path, lambda name: name in ("joints_2d", "frames"))
@@ -85,59 +93,33 @@ class HandDetectionFiles:
 
     @cached_property
     def word(self) -> str:
-        """A checksum that changes when the files do."""
-        there = sorted(self.folder.rglob("*")) if self.folder.is_dir() else []
-        about = [(each.name, each.stat().st_size, each.stat().st_mtime_ns) for each in there]
+        """A checksum of the files' names, sizes and times; empty without files."""
+        paths = sorted(self.folder.rglob("*")) if self.folder.is_dir() else []
+        about = [(each.name, each.stat().st_size, each.stat().st_mtime_ns) for each in paths]
         return sha256(repr(about).encode()).hexdigest()[:16] if about else ""
-
-
-CUT_THUMBNAIL_PX = 24
-"""Side of the reduced images in which cuts are detected [px]."""
-SHOT_CUT_THRESHOLDS = (25.0, 0.4)
-"""Mean difference of two frames [of 255] and share of pixels whose colour changes; at a cut both are larger."""
-JUMP_THRESHOLDS = (4.0, 1.0, 5)
-"""At a jump two frames differ more than this many times as much as any two of the frames before and after it, and by
-more than this mean difference [of 255]; the number of frames on each side."""
-N_BOX_TRACKING_FRAMES, MAX_TRACKING_SIDES_PX = 60, (48.0, 960.0)
-"""Number of frames through which the object's box is followed, and the largest sides of box and image there [px]."""
-OUTSIDE_CONFIDENCE_FACTOR = 0.25
-"""Factor on the confidence of landmarks outside the image."""
-REACHING_POSE_SIGMA_RAD = 0.2
-"""Standard deviation of each number of the fingers' pose from the mean one, while a hand also reaches and lets go
-[rad]."""
 
 
 @dataclass(frozen=True)
 class DetectedHands:
-    """The hand that holds the object, in those frames of a video that show it."""
+    """The hand at the object, in the frames of a video in which it is detected."""
 
     hand: HandTrack
     side: Side
     frames: tuple[int, ...]
-    """From 0."""
+    """Frame numbers from 0."""
     landmarks: dict[int, Float[ndarray, "21 2"]]
-    """Joints of the frames in which the hand's mask can be made of them [px]."""
+    """Joints by frame, for the hand's masks [px]."""
     K: Float[ndarray, "3 3"]
     provenance: Provenance
     """Provenance for a clip."""
     depth: Float[ndarray, "n 21"] | None = None
-    """Depth of each joint as the network sees it, up to an offset of each frame [m]."""
-
-
-def landmark_provenance(landmarks: HandLandmarks) -> Provenance:
-    """Return the provenance of hands that are lifted from landmarks."""
-    return {
-        "hands": estimated("; ".join([f"MediaPipe's landmarks, {LIFTED_HANDS_NOTE}", *landmarks.notes])),
-        "hands_side": landmarks.side_source,
-        "hands_focal": assumed("from the size of the generic hand and the focal length"),
-        "hands_scale": assumed(ASSUMED_SCALE_NOTE),
-    }
+    """Depth of each joint by the network, up to an offset of each frame [m]."""
 
 
 def lift_detected_landmarks(
     landmarks: HandLandmarks, first: int, size: tuple[int, int], K: Float[ndarray, "3 3"], camera: Source
 ) -> DetectedHands:
-    """Fit 3D hands to landmarks of the frames from ``first`` on. Raises as ``hands_from_landmarks`` does."""
+    """Lift landmarks of the frames from ``first`` on to 3D hands. Raises as ``hands_from_landmarks`` does."""
     beside = (landmarks.points < 0.0) | (landmarks.points > np.array(size))
     weights = landmarks.confidence * np.where(beside.any(axis=-1), OUTSIDE_CONFIDENCE_FACTOR, 1.0)
     fit = hands_from_landmarks(
@@ -146,12 +128,18 @@ def lift_detected_landmarks(
     rows = np.array(fit.rows)
     assert fit.hand.joints is not None
     joints, there = se3.transform(fit.hand.T_cam_hand, fit.hand.joints), weights[rows] > 0.0
-    points = np.where(there[..., None], landmarks.points[rows], project(K, joints))  # none between two with landmarks
+    points = np.where(there[..., None], landmarks.points[rows], project(K, joints))  # gaps have no landmarks
     depth = landmarks.world[rows, :, 2]
     depth = np.where((there & np.isfinite(depth)).all(axis=1, keepdims=True), depth, joints[..., 2])
     hand = replace(fit.hand, joints_2d=points, joints_2d_confidence=weights[rows])
     seen = {row + first: landmarks.points[row] for row in landmarks.rows}
-    known = landmark_provenance(landmarks) | {"camera": camera}
+    known: Provenance = {
+        "hands": estimated("; ".join([f"MediaPipe's landmarks, {LIFTED_HANDS_NOTE}", *landmarks.notes])),
+        "hands_side": landmarks.side_source,
+        "hands_focal": assumed("from the size of the generic hand and the focal length"),
+        "hands_scale": assumed(ASSUMED_SCALE_NOTE),
+        "camera": camera,
+    }
     return DetectedHands(hand, landmarks.side, tuple((rows + first).tolist()), seen, K, known, depth)
 
 
@@ -165,18 +153,14 @@ def find_landmarks(
 ) -> HandLandmarks:
     """Find the hand in the frames of an interval, from 0, both ends included.
 
-    ``box``: of the object in the first of them (left, top, width, height) [px].
-
-    Raises ``UsageError`` where there is no hand, or the video is cut within the interval, and ``InputError`` for a
-    frame that does not decode.
+    ``box`` is the object's in the first frame (left, top, width, height) [px]; ``on_frame`` is called before each
+    frame. Raises ``UsageError`` where no hand is found, or the video is cut within the interval, and ``InputError`` for
+    a frame that does not decode.
     """
-    first, last = interval
+    (first, last), scale = interval, None
     count = last - first + 1
-    scale = (
-        None
-        if box is None
-        else min(1.0, MAX_TRACKING_SIDES_PX[0] / float(box[2:].max()), MAX_TRACKING_SIDES_PX[1] / max(footage.size))
-    )
+    if box is not None:
+        scale = min(1.0, MAX_TRACKING_SIDES_PX[0] / float(box[2:].max()), MAX_TRACKING_SIDES_PX[1] / max(footage.size))
     shot = _Shot(footage, first, scale)
     seen = track_hands(shot.image, count, nets, on_frame, [] if box is None else [crop_of_box(box)])
     boxes = None if box is None or scale is None else _track_object_box(shot.small, scale, box)
@@ -195,7 +179,7 @@ def find_landmarks(
 def _track_object_box(
     small: Sequence[UInt8[ndarray, "h w 3"]], scale: float, box: Float[ndarray, "4"]
 ) -> dict[int, Float[ndarray, "4"]]:
-    """Follow the object's box through reduced frames: of two hands at it, the one that stays holds it."""
+    """Track the object's box [px] through reduced frames: of two hands at the object, the one that stays grasps it."""
     size = np.array(small[0].shape[1::-1], dtype=float)
     low, high = (np.clip(scale * corner, 0.0, size) for corner in (box[:2], box[:2] + box[2:]))
     if (high - low).min() < MIN_BOX_SIDE_PX:
@@ -208,17 +192,17 @@ def _track_object_box(
 
 @dataclass
 class _Shot:
-    """Frames in order, checked for cuts."""
+    """The frames of an interval, read in order and checked for cuts."""
 
     footage: Footage
     first: int
     scale: float | None
-    """By which the first frames are reduced; None: they are not kept."""
+    """Factor by which the first frames are reduced into ``small``; None: they are not stored."""
     small: list[UInt8[ndarray, "h w 3"]] = field(default_factory=list)
     newest: int = -1
     before: UInt8[ndarray, "n n 3"] | None = None
     apart: list[float] = field(default_factory=list)
-    """Mean difference of each two successive frames [of 255]."""
+    """Mean difference of each two consecutive frames [of 255]."""
 
     def image(self, n: int) -> UInt8[ndarray, "H W 3"]:
         """Return a frame of the interval. Raises ``UsageError`` at a cut."""
@@ -248,18 +232,18 @@ def _thumbnail(image: UInt8[ndarray, "H W 3"]) -> UInt8[ndarray, "n n 3"]:
 
 
 def find_jumps(apart: Sequence[float]) -> list[int]:
-    """Return the frames before which the picture jumps, from the difference of each two successive frames."""
+    """Return the frames before which the picture jumps, from the differences of each two consecutive frames."""
     times, least, about = JUMP_THRESHOLDS
-    return [
-        n + 1
-        for n, each in enumerate(apart)
-        if each > least
-        and each > times * max([*apart[max(0, n - about) : n], *apart[n + 1 : n + 1 + about]], default=each)
-    ]
+    out = []
+    for n, each in enumerate(apart):
+        nearby = [*apart[max(0, n - about) : n], *apart[n + 1 : n + 1 + about]]
+        if each > least and each > times * max(nearby, default=each):
+            out.append(n + 1)
+    return out
 
 
 def is_cut(one: UInt8[ndarray, "n n 3"], other: UInt8[ndarray, "n n 3"]) -> bool:
-    """Return whether two small images are of different shots: other colours, at other places."""
+    """Return whether two thumbnails are of different shots: both colours and places differ."""
     counts = [np.bincount((each // 32).reshape(-1, 3) @ np.array([64, 8, 1]), minlength=512) for each in (one, other)]
     share = 0.5 * float(np.abs(counts[0] - counts[1]).sum()) / counts[0].sum()
     return float(np.abs(one.astype(float) - other).mean()) > SHOT_CUT_THRESHOLDS[0] and share > SHOT_CUT_THRESHOLDS[1]
@@ -268,9 +252,9 @@ def is_cut(one: UInt8[ndarray, "n n 3"], other: UInt8[ndarray, "n n 3"]) -> bool
 def write_detected_hands(
     out: Path, found: DetectedHands, image: Callable[[int], UInt8[ndarray, "H W 3"]], done: Callable[[int], None]
 ) -> Path:
-    """Write the folder ``found`` into ``out``, in place of an older one; return it.
+    """Write the folder ``found`` into ``out``, in place of an older one; return its path.
 
-    Masks are made for frames with landmarks. ``done`` is called with the number of frames that are done.
+    Masks are made for frames with landmarks. ``done`` is called with the number of masks written so far.
     """
     folder = files.folder_inside(out) / DETECTED_HANDS_FOLDER
     with files.new_folder(folder, ("hand.npz", "masks") if folder.exists() else ()) as new:

@@ -1,9 +1,9 @@
-"""The visible pixels of a hand, from its landmarks and the colours about them.
+"""Segment the visible pixels of a hand from its landmarks and nearby colours.
 
 Pixels of capsules along the bones are certainly the hand if they have the palm's colour (a finger behind the object has
-another). Pixels near the capsules, and the forearm behind the wrist, are possibly the hand, unless they have much less
-colour than the palm and are not overexposed; all others are background. GrabCut (Rother et al., SIGGRAPH 2004) decides
-the possible ones by colours and edges.
+another colour). Pixels near the capsules, and the forearm, are possibly the hand, unless they are much less colourful
+than the palm and not overexposed; all others are background. GrabCut (Rother et al., SIGGRAPH 2004) decides the
+possible pixels by colours and edges.
 """
 
 from __future__ import annotations
@@ -19,53 +19,46 @@ from getagrip.studio.hands.hand_tracking import PALM_LANDMARKS
 MAX_GRABCUT_PX = 320
 """Largest side of the image that GrabCut runs on [px]."""
 CERTAIN_BONE_RADIUS, POSSIBLE_BONE_RADIUS = 0.055, 0.17
-"""Radii about bones, in sizes of the hand."""
+"""Radii around bones, in sizes of the hand."""
 PALM_BONE_RADIUS = 0.25
-"""The larger radius about the bones of the palm, which is thick where it is seen from its side."""
+"""Larger radius around the bones of the palm, which is thick in a side view."""
 FOREARM_SIZE = (1.6, 0.34)
 """Length and half width of the forearm, in sizes of the hand."""
 SKIN_SIGMAS, NON_SKIN_SIGMAS = 3.5, 8.0
 """Robust standard deviations from the palm's colour beyond which a pixel is no longer certainly the hand, and beyond
 which it is certainly not."""
 MIN_COLOUR_PIXELS = 20
-"""Number of pixels that is enough to estimate the colour of the palm, the thumb, the wrist or the fingers."""
+"""Minimum number of pixels for an estimate of the colour of the palm, the thumb, the wrist or the fingers."""
 SKIN_LAB_DISTANCE, NON_SKIN_LAB_DISTANCE = 8.0, 10.0
-"""Distances of Lab's two colours within which thumb and wrist, or fingers, are alike, and from which on the palm is
-unlike them: an object is before it."""
+"""Distances in Lab's two colours: below the first, thumb and wrist, or fingers, are alike; above the second, the palm
+differs from them, since an object hides it."""
 WRIST_LENGTH_RATIO = 0.25
 """Length of the wrist, in lengths of the palm."""
 MIN_SKIN_COLOUR_SPREAD = 6.0
-"""Least spread of the palm's colours [of 255]."""
+"""Minimum spread of the palm's colours [of 255]."""
 MIN_SHADOW_LIGHTNESS_SPREAD, MIN_SHADOW_CHROMA_RATIO = 20.0, 0.5
-"""Least spread of lightness along bones, where fingers may be in shadow [of 255], for pixels of at least this share of
-the palm's colour: grey has none."""
+"""Minimum spread of lightness along bones, where fingers may be in shadow [of 255], for pixels with at least this
+fraction of the palm's chroma."""
 LAB_GREY = 128.0
-"""Lab's two colours of grey, as OpenCV has them."""
+"""Lab's two colours of grey in OpenCV."""
 MIN_SKIN_CHROMA_RATIO, MIN_PALM_CHROMA, OVEREXPOSURE_THRESHOLD = 0.3, 9.0, 245.0
-"""Pixels with less than the first share of the palm's colour are not the hand, if this colour differs from grey by more
-than the second. Where a channel is at least the third [of 255], overexposed skin loses its colour: such pixels are
-probably the hand."""
+"""Fraction of the palm's chroma below which pixels are not the hand, if the palm's chroma exceeds the second number.
+Pixels with a channel of at least the third number [of 255] may be overexposed skin, and are probably the hand."""
 N_SKIN_GRABCUT_ITERATIONS = 3
 THUMB_LANDMARKS, KNUCKLE_LANDMARKS = [1, 2, 3, 4], [5, 9, 13, 17]
 THUMB_WEB_LANDMARKS = [0, 1, 2, 3, 5, 6]
-"""The skin between thumb and index finger is within these."""
+"""Landmarks around the skin between thumb and index finger."""
 LANDMARK_BONES = [
-    (0, 1),
+    *((0, a) for a in (1, *KNUCKLE_LANDMARKS)),
     *((a, a + 1) for k in range(5) for a in range(1 + 4 * k, 4 + 4 * k)),
-    (0, 5),
-    (0, 9),
-    (0, 13),
-    (0, 17),
 ]
+"""Pairs of landmarks."""
 
 
 def hand_mask(
     image: UInt8[ndarray, "H W 3"], points: Float[ndarray, "21 2"], other: Bool[ndarray, "H W"] | None = None
 ) -> Bool[ndarray, "H W"]:
-    """Segment the visible pixels of a hand with these landmarks [px].
-
-    ``other``: pixels that are known to be of something else.
-    """
+    """Segment the visible pixels of a hand with landmarks ``points`` [px]; ``other`` pixels are known not to be it."""
     import cv2
 
     height, width = image.shape[:2]
@@ -86,15 +79,8 @@ def hand_mask(
     if (labels == cv2.GC_FGD).sum() < 10 or (labels == cv2.GC_BGD).sum() < 10:
         return out
     cv2.setRNGSeed(0)
-    cv2.grabCut(
-        colours,
-        labels,
-        (0, 0, 0, 0),
-        np.zeros((1, 65)),
-        np.zeros((1, 65)),
-        N_SKIN_GRABCUT_ITERATIONS,
-        cv2.GC_INIT_WITH_MASK,
-    )
+    models = np.zeros((1, 65)), np.zeros((1, 65))
+    cv2.grabCut(colours, labels, (0, 0, 0, 0), *models, N_SKIN_GRABCUT_ITERATIONS, cv2.GC_INIT_WITH_MASK)
     found = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
     whole = _remove_small_components(found)
     large = cv2.resize(whole.astype(np.float32), tuple((high - low).tolist()), interpolation=cv2.INTER_LINEAR)
@@ -103,14 +89,14 @@ def hand_mask(
 
 
 def _hand_size_px(points: Float[ndarray, "21 2"]) -> float:
-    """Measure the size of the hand [px]: the longest distance on the palm, which is not short from any view."""
+    """Measure the size of the hand [px]: the longest distance on the palm, which no view shortens."""
     palm = points[PALM_LANDMARKS]
     return max(float(np.linalg.norm(palm[:, None] - palm, axis=-1).max()), 4.0)
 
 
 def _forearm_polygon(points: Float[ndarray, "21 2"], size: float) -> Float[ndarray, "4 2"]:
-    """Corners of the area in which the forearm may be."""
-    back = points[0] - points[[5, 9, 13, 17]].mean(axis=0)
+    """Return the corners of the region of the forearm [px]."""
+    back = points[0] - points[KNUCKLE_LANDMARKS].mean(axis=0)
     back = back / max(float(np.linalg.norm(back)), 1e-6)
     across = np.array([-back[1], back[0]]) * FOREARM_SIZE[1] * size
     far = points[0] + FOREARM_SIZE[0] * size * back
@@ -124,7 +110,7 @@ def _grabcut_labels(
     size: float,
     not_hand: Bool[ndarray, "h w"],
 ) -> UInt8[ndarray, "h w"]:
-    """Make GrabCut's label of each pixel."""
+    """Return GrabCut's initial label of each pixel."""
     import cv2
 
     maybe = _draw_bones(colours.shape[:2], points, POSSIBLE_BONE_RADIUS * size)
@@ -160,16 +146,13 @@ def _skin_pixels(
     palm: Bool[ndarray, "h w"],
     seen: Bool[ndarray, "h w"],
 ) -> Bool[ndarray, "h w"]:
-    """Return pixels that show the skin's colour: the palm's; thumb's and wrist's where an object is before the palm.
+    """Return pixels of skin: the palm or, if an object hides the palm, thumb and wrist.
 
-    Fingers take the place of a wrist that is not seen, but for their ends, which an object may hide.
+    Fingers without their tips replace a wrist that is not visible.
     """
     behind = points[0] + WRIST_LENGTH_RATIO * (points[0] - points[9])
-    lines = (
-        points[THUMB_LANDMARKS],
-        np.stack([points[0], behind]),
-        *(points[knuckle : knuckle + 3] for knuckle in KNUCKLE_LANDMARKS),
-    )
+    finger_lines = (points[knuckle : knuckle + 3] for knuckle in KNUCKLE_LANDMARKS)
+    lines = points[THUMB_LANDMARKS], np.stack([points[0], behind]), *finger_lines
     thumb, wrist, *fingers = (
         seen & (_draw_thick_lines(lab.shape[:2], line, CERTAIN_BONE_RADIUS * size) > 0) for line in lines
     )
@@ -185,7 +168,7 @@ def _skin_pixels(
 def _skin_colour_distance(
     lab: Float[ndarray, "h w 3"], skin: Float[ndarray, "n 3"], shadow: float = 0.0
 ) -> Float[ndarray, "h w"]:
-    """How many robust standard deviations a colour is from the skin's."""
+    """Measure the distance of colours from the skin's, in robust standard deviations."""
     if not len(skin):
         return np.zeros(lab.shape[:2])
     middle = np.median(skin, axis=0)
@@ -195,7 +178,6 @@ def _skin_colour_distance(
 
 
 def _draw_bones(shape: Sequence[int], points: Float[ndarray, "21 2"], radius: float) -> UInt8[ndarray, "h w"]:
-    """1 within a radius of a bone."""
     out = np.zeros(tuple(shape), np.uint8)
     for bone in LANDMARK_BONES:
         out |= _draw_thick_lines(shape, points[list(bone)], radius)
@@ -203,7 +185,7 @@ def _draw_bones(shape: Sequence[int], points: Float[ndarray, "21 2"], radius: fl
 
 
 def _draw_thick_lines(shape: Sequence[int], points: Float[ndarray, "n 2"], radius: float) -> UInt8[ndarray, "h w"]:
-    """1 within a radius of the lines between successive points."""
+    """Draw the pixels within a radius of the lines between consecutive points."""
     import cv2
 
     out = np.zeros(tuple(shape), np.uint8)
@@ -212,12 +194,12 @@ def _draw_thick_lines(shape: Sequence[int], points: Float[ndarray, "n 2"], radiu
 
 
 def _round_to_pixels(points: Float[ndarray, "n 2"]) -> Int32[ndarray, "n 2"]:
-    """Round to the nearest pixels; far ones are brought to where OpenCV still draws."""
+    """Round to the nearest pixels, within the range that OpenCV draws."""
     return np.clip(np.round(points - 0.5), -4096, 4096).astype(np.int32)
 
 
 def _remove_small_components(found: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
-    """Remove the parts that are small compared with the largest; holes stay."""
+    """Remove components that are small compared with the largest; holes stay."""
     import cv2
 
     count, labels, stats, _ = cv2.connectedComponentsWithStats(found.astype(np.uint8), connectivity=4)

@@ -1,12 +1,12 @@
-"""Found hands, lifted again once a grasp's masks are known: fingers hardly move, and none is before the background.
+"""Lift a detected hand again when a grasp's masks are known: fingers hardly move, and no joint lies on the background.
 
-At first nothing is known but landmarks, and those of fingers that the object hides are guesses: often the hand is open
-beside the object. With the masks, landmarks on the background are left out, those on the object count less, and joints
-are kept where something hides or shows them (``hidden_joints``). Where many landmarks are on the background or beside
-the image, the latter are left out, too, and so are the network's depths.
+At first only landmarks are known, and landmarks of hidden fingers are guesses: often the hand is open beside the
+object. With the masks, landmarks on the background are left out, landmarks on the object count less, and joints stay
+within the masks that hide or show them (``hidden_joints``). If many landmarks are on the background or outside the
+image, the latter and the network's depths are left out, too.
 
-A left hand and the right hand that is its mirror image in depth have nearly the same landmarks. Where the side is a
-guess the object decides: the joints that it hides are farther from the camera than those that are seen.
+A left hand and its mirror image in depth, a right hand, have nearly the same landmarks. If the side is a guess, the
+object decides: joints hidden by it are farther from the camera than visible ones.
 """
 
 from __future__ import annotations
@@ -43,22 +43,22 @@ from getagrip.provenance import (
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL
 
 JOINTS_DEPTH_KEY = "joints_depth"
-"""Depth of each joint as the network sees it (``FoundHands.depth``), in the files of found hands."""
+"""Key, in files of detected hands, of each joint's depth by the network (``DetectedHands.depth``)."""
 OCCLUDED_CONFIDENCE_FACTOR = 0.25
-"""Factor on the confidence of landmarks that lie on the visible object: the network guesses them."""
+"""Factor on the confidence of landmarks on the visible object, which the network guesses."""
 MAX_GUESSED_FRACTION = 0.4
-"""Share of landmarks on the background or beside the image above which a frame's hand is largely guessed."""
+"""Fraction of landmarks on the background or outside the image above which a frame's hand is mostly guessed."""
 MIN_DEPTH_ORDER_M = 0.01
-"""Joints that the object hides are nearer than those that are seen, by at least this, of a hand of the wrong side, and
-farther by as much of one of the right side [m]."""
+"""Minimum distance by which hidden joints are farther than visible ones for the true side, and nearer for the other
+[m]."""
 MIN_BORDER_DISTANCE = 0.02
-"""Distance of these joints from the border of the mask that they lie in, in sizes of the hand."""
+"""Minimum distance of these joints from the border of their mask, in sizes of the hand."""
 MIN_SIDE_FRAMES, MIN_SIDE_JOINTS = 5, 2
-"""Least number of frames that decide on a side, and in each of them of joints of either kind."""
+"""Minimum number of frames that decide on a side, and of hidden and of visible joints in each of them."""
 
 
 class LabelMaps:
-    """The label maps of a grasp's frames, reduced, as they are made one by one."""
+    """The label maps of a grasp's frames, at a reduced size."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         self.size = size
@@ -67,14 +67,14 @@ class LabelMaps:
         self.frames: dict[int, UInt8[ndarray, "h w"]] = {}
 
     def add(self, frame: int, drawn: UInt8[ndarray, "H W"]) -> None:
-        """Keep the map of a frame, from 0."""
+        """Add the map of a frame, from 0."""
         import cv2
 
         reduced = cv2.resize(drawn, self.small, interpolation=cv2.INTER_NEAREST)
         self.frames[frame] = np.asarray(reduced, np.uint8)
 
     def at(self, frames: Int[ndarray, "n"]) -> UInt8[ndarray, "n h w"]:
-        """Return the maps of some frames; one without a map is empty."""
+        """Return the maps of some frames; frames without a map get an empty one."""
         none = np.zeros(self.small[::-1], np.uint8)
         return np.array([self.frames.get(int(frame), none) for frame in frames])
 
@@ -88,12 +88,11 @@ def relift_hand(
     mirrored: bool = False,
     depth_seen: Float[ndarray, "n 21"] | None = None,
 ) -> tuple[HandTrack, Int[ndarray, "k"]]:
-    """Fit a grasp's hand, of rising ``frames``, to its ``joints_2d`` again; also return the rows that have one.
+    """Fit a grasp's hand again to its ``joints_2d``; also return the rows of ``frames`` with a hand.
 
-    Depths of joints are those that the network saw or, where they are not known, those of ``hand``; where the hand is
-    of the other side, its mirror image's (``mirrored``).
-
-    Raises ``UsageError`` as ``hands_from_landmarks`` does, and for a hand without ``joints_2d``.
+    ``frames`` rise. Depths of joints are the network's ``depth_seen``, else those of ``hand``; ``mirrored`` negates
+    them, for a hand of the other side. Raises ``UsageError`` as ``hands_from_landmarks`` does, and for a hand without
+    ``joints_2d``.
     """
     if hand.joints is None or hand.joints_2d is None or hand.joints_2d_confidence is None:
         raise UsageError("missing joints_2d: the landmarks")
@@ -123,9 +122,9 @@ def relift_hand(
 def joint_depth_order(
     hand: HandTrack, frames: Int[ndarray, "n"], K: Float[ndarray, "3 3"], maps: LabelMaps
 ) -> tuple[float, int]:
-    """Measure how much farther away joints are that the object hides than those that are seen [m].
+    """Measure how much farther joints hidden by the object are than visible ones [m].
 
-    Returns the mean of the frames that have both, and their number.
+    Returns the mean over the frames with both kinds, and the number of these frames.
     """
     assert hand.joints is not None
     joints, drawn = se3.transform(hand.T_cam_hand, hand.joints), maps.at(frames)
@@ -142,7 +141,7 @@ def joint_depth_order(
 
 
 def decides_side(order: float, frames: int) -> bool:
-    """Return whether an order of joints decides on a hand's side."""
+    """Return whether the result of ``joint_depth_order`` decides on a hand's side."""
     return frames >= MIN_SIDE_FRAMES and abs(order) >= MIN_DEPTH_ORDER_M
 
 
@@ -155,38 +154,38 @@ def relift_other_side(
     off: tuple[float, int],
     depth: Float[ndarray, "n 21"] | None = None,
 ) -> tuple[HandTrack, Int[ndarray, "k"], Side, Source] | None:
-    """Lift a hand as one of the other side, if only that agrees with what the object hides; ``off`` is its ``joint_depth_order``.
+    """Lift a hand as one of the other side, if only that agrees with the joints hidden by the object.
 
-    Returns the hand, its rows, that side and its source.
+    ``off`` is the hand's ``joint_depth_order``. Returns hand, rows, side and the side's source; None to keep the side.
     """
     if not (decides_side(*off) and off[0] < 0.0):
         return None
     other: Side = "left" if side == "right" else "right"
     try:
         lifted, rows = relift_hand(hand, frames, K, other, maps, True, depth)
-    except UsageError:  # no such hand looks like the landmarks
+    except UsageError:  # no hand of the other side fits the landmarks
         return None
     better, count = joint_depth_order(lifted, frames[rows], K, maps)
     if not (decides_side(better, count) and better > 0.0):
         return None
-    where = f"{1e3 * better:.0f} mm behind those that are seen, of a {side} one {-1e3 * off[0]:.0f} mm before"
-    of = f"the joints of a {other} hand that the object hides are {where} them, in {format_count(count, 'frame')}"
-    source = assumed(f"{other}, a guess, since {of}; it looks like a {side} one: --side {side} overrules this")
+    order = f"{1e3 * better:.0f} mm behind its visible joints, those of a {side} hand {-1e3 * off[0]:.0f} mm before"
+    reason = f"joints of a {other} hand hidden by the object are {order}, in {format_count(count, 'frame')}"
+    source = assumed(f"{other}, a guess, since {reason}; it looks like a {side} one: --side {side} overrules this")
     return lifted, rows, other, source
 
 
 def write_relifted_hands(found: Path, out: Path, side: Side, numbers: Mapping[int, int], maps: LabelMaps) -> None:
-    """Write a found hand file to ``out``, its hands lifted again.
+    """Write the hands of a file ``found`` to ``out``, lifted again.
 
-    ``numbers`` are those of the frames of ``out``, by their places from 0; ``found`` counts places from 1.
-    They become hands of the other side where ``side`` is a guess and only the other agrees with what the object hides;
-    this is said. Where hands cannot be lifted, they stay as they are, and it is said; an estimator's own hands stay,
-    too. Raises ``InputError`` for a malformed file, ``UsageError`` for hands of another side that stay.
+    ``numbers`` are the frame numbers of ``out`` by index from 0; ``found`` counts frames from 1. If the file's side is
+    a guess and only the other side agrees with the joints hidden by the object, the hand becomes one of that side.
+    Hands of an estimator, and hands that cannot be lifted, stay unchanged. Both are printed as notes. Raises
+    ``InputError`` for a malformed file, ``UsageError`` for unchanged hands of another side than ``side``.
     """
     content = arrays.read(found, lambda key: key in {"frames", "K", "side", JOINTS_DEPTH_KEY} or is_provenance_key(key))
     places = arrays.frame_numbers(found, content)
     if places is None:
-        raise InputError(found, "frames", "no such key", "the numbers of its frames")
+        raise InputError(found, "frames", "no such key", "the numbers of the hand's frames")
     frames, known = np.array(places) - 1, provenance_from_arrays(found, content)
     depth = arrays.floats(found, content, JOINTS_DEPTH_KEY, (len(places), 21)) if JOINTS_DEPTH_KEY in content else None
     rows = np.flatnonzero(np.isin(frames, [*numbers]))
@@ -200,10 +199,9 @@ def write_relifted_hands(found: Path, out: Path, side: Side, numbers: Mapping[in
             raise UsageError("an estimator's are not lifted again")
         K = arrays.floats(found, content, "K", (3, 3))
         lifted, kept = relift_hand(hand, frames, K, side, maps, overruled, depth)
-        off = joint_depth_order(lifted, frames[kept], K, maps)
-        turned = (
-            relift_other_side(hand, frames, K, side, maps, off, depth) if is_assumed(known.get("hands_side")) else None
-        )
+        off, turned = joint_depth_order(lifted, frames[kept], K, maps), None
+        if is_assumed(known.get("hands_side")):
+            turned = relift_other_side(hand, frames, K, side, maps, off, depth)
         if turned is not None:
             lifted, kept, side, source = turned
             known = known | {"hands_side": source}
@@ -211,9 +209,7 @@ def write_relifted_hands(found: Path, out: Path, side: Side, numbers: Mapping[in
         hand, frames = lifted, frames[kept]
     except UsageError as error:
         if overruled:
-            raise UsageError(
-                f"the hands that were found are not {side} ones: draft again with --side {side}"
-            ) from error
+            raise UsageError(f"the detected hands are not {side} hands: draft again with --side {side}") from error
         print_note(f"hands: unchanged: {error}")
     named = {"frames": np.array([numbers[n] for n in frames.tolist()]), "side": np.array(side)}
     extra = {key: value for key, value in content.items() if key != JOINTS_DEPTH_KEY}

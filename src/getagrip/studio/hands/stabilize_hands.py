@@ -1,9 +1,8 @@
-"""Hands between clicked frames, moved to where the footage shows them: no spline predicts how a head shakes.
+"""Stabilize hands between clicked frames against the footage, since no spline predicts a shaking camera.
 
-Points of the hand's surface that are visible on a clicked frame are followed to the next one, and back, by optical
-flow (Lucas, Kanade, IJCAI 1981; pyramids after Bouguet). In each frame in between, the turn, the size and the shift in
-the image that take the hand's own points to the followed ones are applied to the hand; before the first clicked frame
-and after the last, too.
+Visible vertices of the hand on a clicked frame are tracked to the next one, and back, by optical flow (Lucas, Kanade,
+IJCAI 1981; pyramids after Bouguet). In each frame in between, before the first and after the last clicked frame, the
+similarity in the image from the hand's vertices to the tracked ones is applied to the hand.
 """
 
 from __future__ import annotations
@@ -24,17 +23,17 @@ from getagrip.geometry.rasterize import depth_and_face
 from getagrip.hands.from_2d.clicks import ClickedHands
 
 MAX_FLOW_WIDTH_PX = 960
-"""Images are looked at so wide at most [px]."""
+"""Maximum width of the reduced images [px]."""
 LK_WINDOW_PX = 21
-"""Side of what is compared around a point [px]."""
+"""Side of the window that is compared around a point [px]."""
 LK_PYRAMID_LEVELS = 3
-"""Levels of the pyramid, above the image itself."""
+"""Levels of the image pyramid above the image itself."""
 ROUND_TRIP_TOLERANCE_PX = 1.0
-"""A point followed there and back must end so near to where it began [px]."""
+"""Largest distance of a point, tracked to a frame and back, from its start [px]."""
 MIN_TRACKED_POINTS = 12
-"""Points that must be left of those of a key."""
+"""Minimum number of tracked vertices of a clicked frame."""
 CAUCHY_SCALE_PX = 3.0
-"""Points that are farther off than this count less [px]."""
+"""Residual above which vertices count less [px]."""
 
 
 def stabilize_hands(
@@ -44,7 +43,7 @@ def stabilize_hands(
     size: tuple[int, int],
     image: Callable[[int], UInt8[ndarray, "H W 3"]],
 ) -> ClickedHands:
-    """Move the hands between clicked frames in the image. ``first`` is their first frame."""
+    """Stabilize the hands between clicked frames; ``first`` is their first frame, ``size`` width and height [px]."""
     shrunk = min(1.0, MAX_FLOW_WIDTH_PX / size[0])
     small = round(size[0] * shrunk), round(size[1] * shrunk)
     K_small = np.diag([small[0] / size[0], small[1] / size[1], 1.0]) @ K
@@ -80,7 +79,7 @@ def _downscale_grey(image: UInt8[ndarray, "H W 3"], size: tuple[int, int]) -> UI
 def _visible_vertices(
     vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], K: Float[ndarray, "3 3"], size: tuple[int, int]
 ) -> Int[ndarray, "n"]:
-    """Vertices in view that nothing of the hand hides."""
+    """Return the vertices in view that the hand does not hide."""
     depth, _ = depth_and_face(vertices, faces, K, size)
     u, v = np.floor(project(K, vertices)).astype(int).T
     inside = (u >= 0) & (v >= 0) & (u < size[0]) & (v < size[1])
@@ -89,16 +88,17 @@ def _visible_vertices(
 
 
 class TrackedVertices(NamedTuple):
-    """Vertices in a frame."""
+    """Vertices tracked to a frame."""
 
     ids: Int[ndarray, "n"]
     uv: Float[ndarray, "n 2"]
+    """[px]"""
 
 
 def _track_vertices(
     grey: Iterator[UInt8[ndarray, "h w"]], uv: Float[ndarray, "T V 2"], ids: Int[ndarray, "n"]
 ) -> Iterator[TrackedVertices]:
-    """Vertices followed from the first image on, those that were lost left out. ``uv`` is where they are expected."""
+    """Track vertices from the first image on, without lost ones; ``uv`` are all vertices' expected places [px]."""
     points = TrackedVertices(ids, uv[0, ids])
     yield points
     for k, (before, after) in enumerate(pairwise(grey)):
@@ -118,31 +118,21 @@ def _lucas_kanade(
     old: Float32[ndarray, "n 2"],
     guess: Float32[ndarray, "n 2"],
 ) -> tuple[Float32[ndarray, "n 2"], Bool[ndarray, "n"]]:
-    """Follow points of an image to another; also return whether they were found."""
+    """Track points from an image to another; also return whether they were found."""
     import cv2
 
     steps = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 0.01)
-    new, found, _ = cv2.calcOpticalFlowPyrLK(
-        before,
-        after,
-        old,
-        guess,
-        None,
-        None,
-        (LK_WINDOW_PX, LK_WINDOW_PX),
-        LK_PYRAMID_LEVELS,
-        steps,
-        cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )
+    settings = (LK_WINDOW_PX, LK_WINDOW_PX), LK_PYRAMID_LEVELS, steps, cv2.OPTFLOW_USE_INITIAL_FLOW
+    new, found, _ = cv2.calcOpticalFlowPyrLK(before, after, old, guess, None, None, *settings)
     return np.asarray(new, np.float32), np.asarray(found)[:, 0] == 1
 
 
 def _fit_similarity(
     uv: Float[ndarray, "V 2"], followed: Sequence[tuple[TrackedVertices, float]]
 ) -> tuple[complex, complex] | None:
-    """Fit a, b such that a z + b takes the hand's points z = u + i v to the followed ones; None where too few are left.
+    """Fit a, b such that a z + b takes the hand's vertices z = u + i v to the tracked ones; None with too few vertices.
 
-    Each key's points have the share that is given with them.
+    Vertices of each clicked frame have a weight.
     """
     kept = [(points, share) for points, share in followed if len(points.ids) >= MIN_TRACKED_POINTS and share > 0.0]
     if not kept:
@@ -163,7 +153,7 @@ def _fit_similarity(
 def _apply_similarity(
     similarity: tuple[complex, complex], T_cam_hand: Float[ndarray, "4 4"], K: Float[ndarray, "3 3"]
 ) -> Float[ndarray, "4 4"]:
-    """Turn the hand about its ray, and bring it nearer and shift it as its image is."""
+    """Apply a similarity of the image to a hand: turn about its ray, depth and shift."""
     a, b = similarity
     u, v = project(K, T_cam_hand[None, :3, 3])[0]
     to = a * (u + 1j * v) + b

@@ -1,6 +1,6 @@
-"""The ground behind the object, as far as it was seen: a pixel that shows it again is not the object's.
+"""Background model: pixels matching previously seen background are not object.
 
-It moves as the visible surroundings do, and is completed wherever the ground is visible.
+The model moves with the visible surroundings, and is updated wherever the background is visible.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from numpy import ndarray
 from getagrip.studio.masks.optical_flow import Origins, Part
 
 GROUND_NOISE_SIGMA = 9.0
-"""Standard deviation of each channel of a pixel that shows the same again [of 255]."""
+"""Standard deviation of each channel of a pixel that shows unchanged background [of 255]."""
 GROUND_BIN_PROBABILITY = 0.15
-"""Share of such pixels that are in the most frequent bin of their colours."""
+"""Fraction of unchanged background pixels in the most frequent bin of their colours."""
 MIN_COLOUR_PROBABILITY = 0.01
-"""Probability of a colour of which nothing is known."""
+"""Probability of a colour that no pixel has shown."""
 GROUND_CHANGE_RATE = 0.1, 3.0
-"""Share of the ground beside the object that shows something else than before: the first, and a multiple of the share
-far from it by the second."""
+"""Fraction of the background beside the object that has changed since it was seen: the first number, plus the second
+times the fraction far from the object."""
 
 
 @dataclass
 class BackgroundModel:
-    """An image of the ground, and how far each pixel of it was seen: 0 to 1.
+    """An image of the background, and how far each of its pixels was seen: 0 to 1.
 
-    Only what a key shows counts as seen: what comes into view later may be the object's.
+    Only pixels that a key frame shows count as seen: pixels that come into view later may be the object's.
     """
 
     image: UInt8[ndarray, "h w 3"]
@@ -36,11 +36,11 @@ class BackgroundModel:
 
     @staticmethod
     def of_key(image: UInt8[ndarray, "h w 3"], visible: Bool[ndarray, "h w"]) -> BackgroundModel:
-        """Begin with what a key shows."""
+        """Begin with the ``visible`` background of a key frame."""
         return BackgroundModel(image.copy(), visible.astype(np.float32))
 
     def moved(self, part: Part, origins: Origins) -> BackgroundModel:
-        """Return a part of it in the next frame, where its pixels come from ``origins`` in that part."""
+        """Return a part of the model in the next frame; ``origins`` are its pixels' places in the part now."""
         import cv2
 
         image = cv2.remap(self.image[part], *origins, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
@@ -50,7 +50,7 @@ class BackgroundModel:
     def renew(
         self, image: UInt8[ndarray, "h w 3"], part: Part, moved: BackgroundModel, visible: Bool[ndarray, "y x"]
     ) -> None:
-        """Replace it by the next frame's: outside a part its ``image``; in it ``moved``, renewed where ``visible``."""
+        """Replace the model by the next frame's: ``image`` outside a part, inside ``moved``, new where ``visible``."""
         import cv2
 
         same = visible & (cv2.absdiff(image[part], moved.image) < 2.0 * GROUND_NOISE_SIGMA).all(axis=-1)
@@ -61,10 +61,10 @@ class BackgroundModel:
     def unlike(
         self, image: UInt8[ndarray, "h w 3"], shares: Float32[ndarray, "2 h w"], clear: Bool[ndarray, "h w"]
     ) -> Float32[ndarray, "h w"]:
-        """Return the log ratio of a pixel's probabilities on the object and on this ground, 0 where it was not seen.
+        """Return the log ratio of a pixel's probabilities on the object and on this background, 0 where unseen.
 
-        ``shares`` are those of the object's pixels, and of the others, that have its colour. The less the ground has
-        changed where it is ``clear``, the more another colour speaks for the object, even a new one.
+        ``shares`` are the fractions of the object's pixels, and of all others, with the pixel's colour. The less the
+        background has changed where it is ``clear``, the more a changed colour is evidence of the object.
         """
         import cv2
 

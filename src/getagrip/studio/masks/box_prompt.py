@@ -1,4 +1,7 @@
-"""Segment the object from a box on one frame: GrabCut (Rother, Kolmogorov, Blake, SIGGRAPH 2004), and motion."""
+"""Segment the object from a box on one frame: GrabCut (Rother, Kolmogorov, Blake, SIGGRAPH 2004), and motion.
+
+A box is also tracked over frames, by the pattern and the colours in it.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,6 @@ from jaxtyping import Bool, UInt8
 from numpy import ndarray
 
 from getagrip.errors import UsageError
-from getagrip.studio.masks.click_prompt import (
-    MOVING_LOG_RATIO_THRESHOLD,
-    STATIC_LOG_RATIO_THRESHOLD,
-    click_motion_log_ratio,
-)
 from getagrip.studio.masks.graph_cut import (
     UNSEEN_COLOUR_PROBABILITY,
     ColourHistogram,
@@ -22,7 +20,14 @@ from getagrip.studio.masks.graph_cut import (
     remove_object_colours,
 )
 from getagrip.studio.masks.propagate_frame import Image, Images
-from getagrip.studio.masks.stroke_prompt import bounding_slices, resize_mask, segment_region
+from getagrip.studio.masks.stroke_prompt import (
+    MOVING_LOG_RATIO_THRESHOLD,
+    STATIC_LOG_RATIO_THRESHOLD,
+    bounding_slices,
+    click_motion_log_ratio,
+    resize_mask,
+    segment_region,
+)
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL
 
 Box = tuple[float, float, float, float]
@@ -30,35 +35,35 @@ Box = tuple[float, float, float, float]
 MIN_BOX_SIDE_PX = 4.0
 """Least width and height of a box [px]."""
 BOX_SEARCH_RADIUS = 0.5
-"""Longest step of what a box shows from one frame to the next, in longer sides of the box."""
+"""Longest step of a box's content from one frame to the next, in longer sides of the box."""
 BOX_DISTANCE_PENALTY = 1e-4
-"""Correlation that outweighs a pixel of a box's step: where all looks alike it stays."""
+"""Correlation that outweighs one pixel of a box's step: on a uniform image the box stays."""
 COLOUR_DISTANCE_SCALE = 64.0
 """Distance of an object's colours in RGB [of 442] (root mean square) that outweighs a correlation of 1."""
 MIN_BOX_CORRELATION = 0.5
-"""Correlation of a box with the first frame below which it may be elsewhere."""
+"""Correlation of a box with the first frame below which the box may be lost."""
 MAX_TRACKED_BOX_PX = 128
-"""Largest side of a box in the images in which it is followed [px]."""
+"""Largest side of a box in the reduced images in which it is tracked [px]."""
 MIN_HAND_OUTSIDE_FRACTION = 0.2
-"""If more than this share of a found hand is outside the object's box, its colours there tell which pixels in the box
-may be the object's: a label before the palm, say."""
+"""Fraction of the detected hand outside the object's box from which on the hand's colours there decide which pixels in
+the box may be the object's: a label in front of the palm, say."""
 THIN_OBJECT_FRACTION = 0.35
-"""If more than this share of what is found in a box has colours that are likelier beside it, the object is so thin that
-most of the box is background: what has the other colours is the object."""
+"""Fraction of the pixels found in a box with colours likelier beside the box, above which the object is thin and most
+of the box is background: then only pixels of the other colours are the object."""
 MIN_LIKELY_COLOUR_FRACTION = 0.5
-"""That counts if more than this share of the pixels of those colours is found."""
+"""Fraction of the pixels of the other colours that must be found for a thin object."""
 BOX_EROSION_PX = 9
-"""Side of the square by which what is found in a box is made narrower before its motion is measured [px]."""
+"""Side of the square by which the found mask is eroded before its motion is measured [px]."""
 MAX_STATIC_FRACTION = 0.2
-"""Share of what is found in a box that is not left out for its motion."""
+"""Largest fraction of the found mask that is removed because it does not move with the object."""
 MAX_EMPTY_STRIP_FRACTION = 0.15
-"""Object and hand reach all sides of the object's box, within this share of the box's width or height."""
+"""Widest empty strip beside object and hand in the object's box, as a fraction of the box's width or height."""
 
 
 def box_to_slices(box: Box, size: tuple[int, int]) -> tuple[slice, slice]:
     """Return the rows and columns of a box in an image of ``size`` (width, height) [px].
 
-    Raises ``UsageError`` for a box that is tiny, or more than a tenth of which is out of the image.
+    Raises ``UsageError`` for a tiny box, or one with more than a tenth outside the image.
     """
     x, y, w, h = box
     left, top, right, bottom = max(0.0, x), max(0.0, y), min(x + w, size[0]), min(y + h, size[1])
@@ -70,11 +75,11 @@ def box_to_slices(box: Box, size: tuple[int, int]) -> tuple[slice, slice]:
 
 
 def track_box(images: Images, box: Box, first: int, to: int) -> Iterator[tuple[Box, float]]:
-    """Follow what is seen in a box from a frame to a later one; yield it in each of them, the first included.
+    """Track the content of a box from the frame ``first`` to ``to``; yield box [px] and correlation of each frame.
 
-    It moves to where the image is most like the box in the first frame and in the frame before, in pattern and in the
-    object's colours. With each box comes its correlation with the first frame. Raises ``UsageError`` after the first as
-    ``box_to_slices`` does.
+    The box moves to the place most like the box in the first frame and in the frame before, in pattern and in the
+    object's colours; the correlation is with the first frame. Raises ``UsageError`` as ``box_to_slices`` does, after
+    the first box.
     """
     import cv2
 
@@ -117,10 +122,10 @@ def downscale_image(image: UInt8[ndarray, "H W 3"], scale: float) -> UInt8[ndarr
 def segment_box_by_motion(
     images: Images, n: int, interval: tuple[int, int], box: Box, hand: Bool[ndarray, "h w"] | None = None
 ) -> UInt8[ndarray, "H W"]:
-    """Return what ``segment_box`` does, without what stays with the ground while the object moves.
+    """Return the label map of ``segment_box``, without pixels that stay with the background while the object moves.
 
-    Frames beyond the ``interval``, whose ends are included, are not looked at. Where much would be left out, nothing
-    is: the object lies still while the hand moves, or the ground is seen through it.
+    Only frames of the ``interval``, ends included, are used. Where many pixels would be removed, none is: the object
+    lies still while the hand moves, or is transparent.
     """
     import cv2
 
@@ -143,14 +148,14 @@ def segment_box(
     surely: Bool[ndarray, "H W"] | None = None,
     ground: Bool[ndarray, "H W"] | None = None,
 ) -> UInt8[ndarray, "H W"]:
-    """Return the label map of a frame on which the object fills a box, ``HAND_LABEL`` where the hand is seen.
+    """Return the label map of a frame on which the object fills a box, ``HAND_LABEL`` where the hand is visible.
 
     Args:
         image: RGB.
         box: the object's [px].
-        hand: visible pixels of the hand that was found, of any size; None: not known.
-        surely: pixels that are known to be the object's, unless they are the hand's, or apart from its largest part.
-        ground: pixels that are known not to be the object's.
+        hand: visible pixels of the detected hand, of any size; None: not known.
+        surely: pixels known to be the object's, unless they are the hand's, or apart from the object's largest part.
+        ground: pixels known not to be the object's.
 
     Raises:
         UsageError: as ``box_to_slices`` does.
@@ -200,9 +205,10 @@ def segment_box(
 
 
 def empty_side(labels: UInt8[ndarray, "H W"], box: Box) -> tuple[str, float] | None:
-    """Return the side of a box with the widest empty strip, and the strip's share of the box's width or height.
+    """Return the side of a box with the widest empty strip, and the strip as a fraction of the box's width or height.
 
-    None up to a share of ``MAX_EMPTY_STRIP_FRACTION``, and where nothing is labelled. Raises ``UsageError`` as ``box_to_slices`` does.
+    None for a fraction up to ``MAX_EMPTY_STRIP_FRACTION``, and without labels. Raises ``UsageError`` as
+    ``box_to_slices`` does.
     """
     inside = labels[box_to_slices(box, (labels.shape[1], labels.shape[0]))] != 0
     if not inside.any():

@@ -1,10 +1,8 @@
 """The border between object and background, from colours and a prior.
 
-It minimises the sum of ``cost`` u + ``edge`` |grad u| over 0 <= u <= 1, a continuous minimal cut (Chan, Esedoglu,
-Nikolova, SIAM J. Appl. Math. 2006), by the primal-dual steps of Chambolle and Pock (JMIV 2011). The colours of both
-sides are histograms: of the key frames, over the whole image, and of the frame before, near the same place.
-
-The primal-dual steps of a continuous minimal cut (``studio.masks.graph_cut``), pixel by pixel.
+The border minimises the sum of ``cost`` u + ``edge`` |grad u| over 0 <= u <= 1, a continuous minimal cut (Chan,
+Esedoglu, Nikolova, SIAM J. Appl. Math. 2006), by the primal-dual steps of Chambolle and Pock (JMIV 2011). The colours
+of both sides are histograms: of the key frames, over the whole image, and of the frame before, near the same place.
 """
 
 from __future__ import annotations
@@ -52,26 +50,26 @@ def cut_steps(cost: ndarray, edge: ndarray, u: ndarray, rounds: int) -> None:
 N_COLOUR_BINS = 12
 """Bins of lightness and of each of Lab's colours."""
 GREY_BIN_SCALE, MAX_BINNED_CHROMA = 8.0, 50.0
-"""Bins of Lab's two colours are even up to about the first, beside grey, then wider; the last ends at the second."""
+"""Distance from grey of Lab's two colours up to which their bins are even, then wider; and the last bin's end."""
 N_IMAGE_CELLS = 8
-"""Cells in each direction of the image, by which the places of colours are counted."""
+"""Cells in each direction of the image, in each of which colours are counted."""
 HISTOGRAM_BLUR_SIGMA = 0.7
 """Blur of histograms [bins, cells]."""
 KEYFRAME_COLOUR_WEIGHT = 8.0
 """Weight of the key frames' colours, in pixels of a cell."""
 COLOUR_PSEUDO_COUNT = 0.05
-"""Pixels of each colour that are added to both sides, since a colour may be there without having been seen."""
+"""Pixels of each colour added to both sides, since either side may have colours that were not seen."""
 BORDER_COST = 3.0
-"""Cost of a border of one pixel where the image is smooth; ``STRONG_EDGE_FACTOR`` of it where it has a strong edge."""
+"""Cost of a border of one pixel on a smooth image; on a strong edge, ``STRONG_EDGE_FACTOR`` times as much."""
 STRONG_EDGE_FACTOR = 0.15
 N_PRIMAL_DUAL_STEPS = 50
 HAND_COLOUR_LOG_RATIO = 0.5
-"""Pixels of the hand that was found are not the hand's where colours of the object are likelier by e to this; at its
-border, where they are likelier at all."""
+"""Log ratio of the object's colours to the hand's above which a pixel of the detected hand is not the hand's; at the
+hand's border the limit is 0."""
 MIN_REMAINING_HAND_FRACTION = 0.3
-"""If less than this share is left of a found hand, colours do not tell it from the object: light has changed, say."""
+"""Fraction of the detected hand that must remain: else colours cannot separate it from the object (changed light)."""
 UNSEEN_COLOUR_PROBABILITY = 1e-3
-"""Probability of a colour that neither of the two has."""
+"""Probability of a colour that neither hand nor object has."""
 
 Image = UInt8[ndarray, "h w 3"]
 Mask = Bool[ndarray, "h w"]
@@ -90,75 +88,65 @@ def colour_bins(image: Image) -> Int32[ndarray, "h w"]:
 
 
 class ColourHistogram(NamedTuple):
-    """Shares of pixels that have a colour, inside and outside."""
+    """Probabilities of colours inside and outside a mask."""
 
     counts: Float32[ndarray, "2 bins"]
 
     @staticmethod
     def of(image: Image, inside: Mask, counted: Mask) -> ColourHistogram:
-        """Count one image; shares of its pixels."""
-        at, sides = colour_bins(image), []
-        for side in (inside & counted, ~inside & counted):
-            cube = (
-                np.bincount(at[side], minlength=N_COLOUR_BINS**3)
-                .astype(np.float32)
-                .reshape(N_COLOUR_BINS, N_COLOUR_BINS, N_COLOUR_BINS)
-            )
-            sides.append(_blur_histogram(cube).ravel() / max(1, np.count_nonzero(side)))
+        """Count the colours of the ``counted`` pixels of an image."""
+        at = colour_bins(image)
+        sides = [
+            _count_bins(at[side], (N_COLOUR_BINS,) * 3) / max(1, np.count_nonzero(side))
+            for side in (inside & counted, ~inside & counted)
+        ]
         return ColourHistogram(np.stack(sides).astype(np.float32))
 
     @staticmethod
     def mean(some: list[ColourHistogram]) -> ColourHistogram:
-        """Return the mean of several images."""
+        """Return the mean of the histograms of several images."""
         return ColourHistogram(np.mean([each.counts for each in some], axis=0).astype(np.float32))
 
 
 class LocalColourHistogram(NamedTuple):
-    """Counts of pixels by cell of the image."""
+    """Counts of colours in each cell of the image, inside and outside a mask."""
 
     size: tuple[int, int]
     counts: Float32[ndarray, "2 cells"]
 
     @staticmethod
     def of(at: Int32[ndarray, "h w"], inside: Mask, counted: Mask) -> LocalColourHistogram:
-        """Count one image, given by the bins of its pixels."""
+        """Count the ``counted`` pixels of an image, from the bins of their colours."""
         height, width = inside.shape
         y, x = np.mgrid[:height, :width]
-        at = (
-            y * N_IMAGE_CELLS // max(height, N_IMAGE_CELLS) * N_IMAGE_CELLS
-            + x * N_IMAGE_CELLS // max(width, N_IMAGE_CELLS)
-        ) * N_COLOUR_BINS**3 + at
-        shape = N_IMAGE_CELLS, N_IMAGE_CELLS, N_COLOUR_BINS, N_COLOUR_BINS, N_COLOUR_BINS
-        sides = [
-            _blur_histogram(
-                np.bincount(at[side], minlength=int(np.prod(shape))).astype(np.float32).reshape(shape)
-            ).ravel()
-            for side in (inside & counted, ~inside & counted)
-        ]
+        row, column = y * N_IMAGE_CELLS // max(height, N_IMAGE_CELLS), x * N_IMAGE_CELLS // max(width, N_IMAGE_CELLS)
+        at = (row * N_IMAGE_CELLS + column) * N_COLOUR_BINS**3 + at
+        shape = (N_IMAGE_CELLS,) * 2 + (N_COLOUR_BINS,) * 3
+        sides = [_count_bins(at[side], shape) for side in (inside & counted, ~inside & counted)]
         return LocalColourHistogram((width, height), np.stack(sides))
 
 
 def _bilinear_cells(
     size: tuple[int, int], x: Float32[ndarray, "h w"], y: Float32[ndarray, "h w"]
 ) -> Iterator[tuple[Int[ndarray, "h w"], Float32[ndarray, "h w"]]]:
-    """Yield the four cells about each place, and their shares in it."""
-    (u, column), (v, row) = (
-        np.modf(
-            np.clip((each + 0.5) * N_IMAGE_CELLS / max(length, N_IMAGE_CELLS) - 0.5, 0.0, N_IMAGE_CELLS - 1.001).astype(
-                np.float32
-            )
-        )
+    """Yield the four cells around each place, and their bilinear weights."""
+    cells = (
+        np.clip((each + 0.5) * N_IMAGE_CELLS / max(length, N_IMAGE_CELLS) - 0.5, 0.0, N_IMAGE_CELLS - 1.001)
         for each, length in zip((x, y), size, strict=True)
     )
+    (u, column), (v, row) = (np.modf(each.astype(np.float32)) for each in cells)
     for i, across in enumerate((1 - u, u)):
         for j, down in enumerate((1 - v, v)):
             yield ((row + j) * N_IMAGE_CELLS + column + i).astype(np.int64), across * down
 
 
-def _blur_histogram(counts: Float32[ndarray, "..."]) -> Float32[ndarray, "..."]:
+def _count_bins(at: Int[ndarray, "n"], shape: tuple[int, ...]) -> Float32[ndarray, "m"]:
+    """Count the pixels in each bin of a histogram of a ``shape``, and blur it."""
     from scipy.ndimage import gaussian_filter
 
-    return np.asarray(gaussian_filter(counts, HISTOGRAM_BLUR_SIGMA, mode="constant", truncate=2.0), np.float32)
+    counts = np.bincount(at, minlength=int(np.prod(shape))).astype(np.float32).reshape(shape)
+    blurred = gaussian_filter(counts, HISTOGRAM_BLUR_SIGMA, mode="constant", truncate=2.0)
+    return np.asarray(blurred, np.float32).ravel()
 
 
 def colour_log_ratio(
@@ -167,9 +155,9 @@ def colour_log_ratio(
     before: LocalColourHistogram | None = None,
     came: tuple[Float32[ndarray, "h w"], Float32[ndarray, "h w"]] | None = None,
 ) -> Float32[ndarray, "h w"]:
-    """Return the logarithm of the ratio of each pixel's colour probability inside to that outside, from its bin.
+    """Return the log ratio of each pixel's colour probabilities inside and outside, from the bin of its colour.
 
-    ``came`` has the pixels' places in the frame ``before``, whose colours there count as well.
+    ``came`` are the pixels' places in the frame ``before``, whose colours at these places count as well.
     """
     sides = KEYFRAME_COLOUR_WEIGHT * keys.counts[:, at] + COLOUR_PSEUDO_COUNT * KEYFRAME_COLOUR_WEIGHT / N_COLOUR_BINS
     if before is not None and came is not None:
@@ -179,9 +167,9 @@ def colour_log_ratio(
 
 
 def remove_object_colours(hand: Mask, at: Int32[ndarray, "h w"], own: ColourHistogram, skin: ColourHistogram) -> Mask:
-    """Return a hand that was found without those pixels that have the object's ``own`` colours; all of it if most have.
+    """Return a detected hand without pixels of the object's ``own`` colours; unchanged if most have such colours.
 
-    ``at``: the bins of the image's pixels.
+    ``at`` are the bins of the image's colours, ``skin`` the hand's colours.
     """
     import cv2
 
@@ -192,7 +180,7 @@ def remove_object_colours(hand: Mask, at: Int32[ndarray, "h w"], own: ColourHist
 
 
 def overlapping_components(mask: Mask, before: Mask) -> Mask:
-    """Return the parts of a mask that overlap with what it was."""
+    """Return the components of a mask that overlap with a mask ``before``."""
     import cv2
 
     _, parts = cv2.connectedComponents(mask.astype(np.uint8))
@@ -206,16 +194,12 @@ def edge_cost(image: Image) -> Float32[ndarray, "h w"]:
     right, down = values[:, 1:] - values[:, :-1], values[1:] - values[:-1]
     change[:, :-1] += np.einsum("hwc,hwc->hw", right, right)
     change[:-1] += np.einsum("hwc,hwc->hw", down, down)
-    return np.asarray(
-        BORDER_COST
-        * (STRONG_EDGE_FACTOR + (1.0 - STRONG_EDGE_FACTOR) * np.exp(-change / (2.0 * change.mean() + 1e-6))),
-        np.float32,
-    )
+    smooth = np.exp(-change / (2.0 * change.mean() + 1e-6))
+    return np.asarray(BORDER_COST * (STRONG_EDGE_FACTOR + (1.0 - STRONG_EDGE_FACTOR) * smooth), np.float32)
 
 
 def minimal_cut(cost: Float32[ndarray, "h w"], edge: Float32[ndarray, "h w"], start: Float32[ndarray, "h w"]) -> Mask:
-    """Return where u is above one half, from a ``start`` near to it."""
-
+    """Return the pixels whose u is above one half, from a ``start`` near the minimum."""
     u = start.copy()
     cut_steps(cost, edge, u, N_PRIMAL_DUAL_STEPS)
     return np.asarray(u > 0.5)

@@ -1,10 +1,8 @@
-"""Origins of pixels in the frame before: by dense inverse search (Kroeger et al., ECCV 2016), or as an object.
+"""Optical flow between frames, and the origins of pixels in the frame before: each its own, or those of one object.
 
-Lengths are in pixels of the size at which masks are propagated.
-
-Frames at the size at which masks are carried, and the flow between neighbours, for both directions of time at once.
-
-Dense inverse search (``object_motion.flow``) computes flow at half the size; at this size it is kept.
+Dense inverse search (Kroeger, Timofte, Dai, Van Gool, "Fast Optical Flow using Dense Inverse Search", ECCV 2016)
+computes the flow, in both directions of time at once. Frames are reduced to the size at which masks are propagated;
+lengths are in pixels of this size.
 """
 
 from __future__ import annotations
@@ -21,10 +19,10 @@ from getagrip.studio.masks.graph_cut import colour_bins
 
 Image = UInt8[ndarray, "H W 3"]
 Origins = tuple[Float32[ndarray, "h w"], Float32[ndarray, "h w"]]
-"""x and y of where each pixel was."""
+"""x and y of each pixel's place in the frame before [px]."""
 
 MAX_MOTION_SAMPLES = 2000
-"""Largest number of the object's pixels that its motion is fitted to; a hundredth of it is the least."""
+"""Maximum number of the object's pixels that its motion is fitted to; a hundredth of this number is the minimum."""
 FLOW_BLUR_SIGMA_PX = 10.0
 """Standard deviation of the Gaussian that averages the flow of the object's pixels [px]."""
 FLOW_SIGMA_PX = 1.5
@@ -32,18 +30,15 @@ FLOW_SIGMA_PX = 1.5
 MAX_MOTION_LOG_RATIO = 3.0
 """Largest logarithm of the ratio of the probabilities of two motions."""
 SHOT_CHANGE_THRESHOLD = 10.0
-"""Median difference of pixels from those where flow says that they were; above it the video is cut [of 255]."""
+"""Median difference of pixels from their origins above which the video is cut [of 255]."""
 
 
 def fit_object_motion(
-    x: Float32[ndarray, "h w"],
-    y: Float32[ndarray, "h w"],
-    came: Origins,
-    inner: Bool[ndarray, "h w"],
+    x: Float32[ndarray, "h w"], y: Float32[ndarray, "h w"], came: Origins, inner: Bool[ndarray, "h w"]
 ) -> Origins | None:
-    """Return the origins of all pixels if they move like the nearby ``inner`` pixels of the object.
+    """Return the origins of all pixels if they moved like the nearby ``inner`` pixels of the object.
 
-    At a border, flow mixes both sides, so masks would lag behind. None if too few pixels are left.
+    Near a border flow mixes both sides, so masks moved by it would lag. None with too few ``inner`` pixels.
     """
     import cv2
 
@@ -62,7 +57,7 @@ def fit_object_motion(
 
 
 def _blur_flow(values: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
-    """Blur by ``FLOW_BLUR_SIGMA_PX``, at a quarter of the size, which is enough for it."""
+    """Blur by ``FLOW_BLUR_SIGMA_PX``, at a quarter of the size for speed."""
     import cv2
 
     size = values.shape[::-1]
@@ -71,28 +66,24 @@ def _blur_flow(values: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
 
 
 def motion_log_ratio(
-    came: Origins,
-    own: Origins,
-    ground: Origins | None,
-    off: Float32[ndarray, "h w"],
+    came: Origins, own: Origins, ground: Origins | None, off: Float32[ndarray, "h w"]
 ) -> Float32[ndarray, "h w"]:
-    """Return the log ratio of the probabilities that a pixel moves with the object or with its surroundings."""
+    """Return the log ratio of the probabilities that a pixel moves with the object or with its surroundings.
+
+    ``came`` are the origins by flow, with an error of ``off`` [px]; ``own`` and ``ground`` those of object and ground.
+    """
     import cv2
 
     if ground is None:
         return np.zeros_like(off)
     apart = [(came[0] - each[0]) ** 2 + (came[1] - each[1]) ** 2 for each in (ground, own)]
-    noise = 2.0 * (FLOW_SIGMA_PX**2 + off**2)
-    return np.asarray(
-        cv2.GaussianBlur(
-            np.clip((apart[0] - apart[1]) / noise, -MAX_MOTION_LOG_RATIO, MAX_MOTION_LOG_RATIO), (0, 0), 2.0
-        ),
-        np.float32,
-    )
+    ratio = (apart[0] - apart[1]) / (2.0 * (FLOW_SIGMA_PX**2 + off**2))
+    limited = np.clip(ratio, -MAX_MOTION_LOG_RATIO, MAX_MOTION_LOG_RATIO)
+    return np.asarray(cv2.GaussianBlur(limited, (0, 0), 2.0), np.float32)
 
 
 def hand_displacement(before: Bool[ndarray, "h w"] | None, after: Bool[ndarray, "h w"] | None) -> tuple[int, int]:
-    """Measure how far a hand has moved from one frame to the next [px], 0 where either mask is not known."""
+    """Measure a hand's displacement from one frame to the next [px]; 0 if either mask is missing or empty."""
     if before is None or after is None or not before.any() or not after.any():
         return 0, 0
     y, x = (float(np.median(np.nonzero(after)[n]) - np.median(np.nonzero(before)[n])) for n in (0, 1))
@@ -100,7 +91,7 @@ def hand_displacement(before: Bool[ndarray, "h w"] | None, after: Bool[ndarray, 
 
 
 def is_other_shot(before: Image, after: Image, came: Origins) -> bool:
-    """Return whether most of an image shows something else than the one before, wherever that was."""
+    """Return whether the video is cut between two images: most pixels differ from their origins ``came``."""
     import cv2
 
     expected = cv2.remap(before, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
@@ -110,7 +101,7 @@ def is_other_shot(before: Image, after: Image, came: Origins) -> bool:
 def warp_values(
     values: Float32[ndarray, "h w"], old: tuple[Float32[ndarray, "H W"], Float32[ndarray, "H W"]], outside: float
 ) -> Float32[ndarray, "H W"]:
-    """Return values at the origins of pixels."""
+    """Sample values at the origins ``old`` of pixels; ``outside`` is the value beyond them."""
     import cv2
 
     return np.asarray(cv2.remap(values, *old, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, outside), np.float32)
@@ -125,27 +116,37 @@ def optical_flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
     return np.asarray(search.calc(a, b, np.zeros((*a.shape, 2), np.float32)), np.float32)
 
 
+def squared_flow_error(
+    there: Float32[ndarray, "h w 2"], back: Float32[ndarray, "h w 2"], came: Origins
+) -> Float32[ndarray, "h w"]:
+    """Return the squared distance of pixels from their start after flow ``back`` to origins and ``there`` [px^2]."""
+    import cv2
+
+    error = back + cv2.remap(there, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+    return np.asarray(np.einsum("hwc,hwc->hw", error, error))
+
+
 Part = tuple[slice, slice]
 """Rows and columns."""
 Step = tuple[int, int]
 """Steps along x and y [px]."""
 ZERO_STEP: Step = (0, 0)
 MAX_CACHED_FLOWS = 1000
-"""Pairs of frames of which flow is kept, about 0.3 MB each."""
+"""Maximum number of pairs of frames whose flow is cached, about 0.3 MB each."""
 
 
 class SmallFrame(NamedTuple):
-    """A frame on its way through the propagation."""
+    """A reduced frame."""
 
     image: UInt8[ndarray, "h w 3"]
     bins: Int32[ndarray, "h w"]
-    """Bins of its colours."""
+    """Bins of its colours (``colour_bins``)."""
     whole: UInt8[ndarray, "H W 3"]
-    """The frame at its own size."""
+    """The frame at full size."""
 
 
 class SmallFrames:
-    """Frames by number, made smaller; the last few are kept, as is the flow between two until it is used again."""
+    """Reduced frames by number; the last three are cached, and the flow between two until it is used again."""
 
     def __init__(self, image: Callable[[int], UInt8[ndarray, "H W 3"]], size: tuple[int, int]) -> None:
         self.size = size
@@ -154,7 +155,6 @@ class SmallFrames:
         self._flows: dict[tuple[int, ...], tuple[Float16[ndarray, "h w 2"], ...]] = {}
 
     def __getitem__(self, n: int) -> SmallFrame:
-        """Return a frame."""
         import cv2
 
         if n not in self._frames:
@@ -168,9 +168,9 @@ class SmallFrames:
     def flows(
         self, a: int, b: int, part: Part, step: Step = ZERO_STEP
     ) -> tuple[Float32[ndarray, "h w 2"], Float32[ndarray, "h w 2"]]:
-        """Return flow from frame a to its neighbour b, and back, in a part of them [px].
+        """Return the flow from frame a to its neighbour b, and back, in a part of the images [px].
 
-        ``step``: how far what matters has moved from a to b, about [px]; flow finds what is left.
+        ``step``: approximate displacement of the object from a to b [px]; only the rest is computed as flow.
         """
         import cv2
 
@@ -196,7 +196,7 @@ class SmallFrames:
 
 
 def translate_image(image: ndarray, step: Step) -> ndarray:
-    """Return an image whose content is moved by whole pixels, its border repeated."""
+    """Translate an image by whole pixels; its border is repeated."""
     import cv2
 
     M = np.array([[1.0, 0.0, step[0]], [0.0, 1.0, step[1]]])

@@ -1,4 +1,4 @@
-"""Drafts of a grasp's frames from its labels: the silhouette of the fitted hand, and masks, as polygons."""
+"""Drafts of a grasp's frames from its labels, as polygons: silhouettes of hands, and masks."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from getagrip.studio.masks.stroke_prompt import keyframe_label_maps
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL, Labels
 
 DRAFT_SILHOUETTE_PX = 640
-"""Longer side of the image in which the hand's silhouette is drawn [px]."""
+"""Longer side of the image in which the hand's silhouette is rendered [px]."""
 POLYGON_TOLERANCE = 1 / 1280
-"""Largest distance of a polygon from the mask's border, as a share of the image's longer side."""
+"""Largest distance of a polygon from the mask's border, as a fraction of the image's longer side."""
 MIN_PART_AREA_FRACTION = 0.002
-"""Parts smaller than this share of the largest one are left out, as are holes."""
+"""Area, as a fraction of the largest part's, below which parts and holes are left out."""
 
 Polygon = Float[ndarray, "_n 2"]
 
 
 def draft_fitted_hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, dict[str, object]]:
-    """Return, by frame, joints and silhouette of the fitted hand [px], and the clicks that do not fit the others.
+    """Return, by frame, joints and silhouette of the fitted hand [px], and the joints clicked inconsistently.
 
     Raises ``UsageError`` as ``hands_from_clicks`` does.
     """
@@ -42,18 +42,15 @@ def draft_fitted_hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -
     out: dict[int, dict[str, object]] = {}
     for n, (T, vertices, joints) in enumerate(zip(track.T_cam_hand, track.vertices, track.joints, strict=True)):
         mask = render_coverage(se3.transform(T, vertices), track.faces, np.diag([zoom, zoom, 1.0]) @ K, small)
-        out[labels.first + n] = {
-            "joints": _round_points(project(K, se3.transform(T, joints))),
-            "outlines": _mask_to_polygons(mask, 1.0 / zoom),
-            "uncertain": [],
-        }
+        points = _round_points(project(K, se3.transform(T, joints)))
+        out[labels.first + n] = {"joints": points, "outlines": _mask_to_polygons(mask, 1.0 / zoom), "uncertain": []}
     for frame, outliers in zip(found.keys, found.outliers, strict=True):
         out[frame]["uncertain"] = np.flatnonzero(outliers).tolist()
     return out
 
 
 def draft_detected_hand(labels: Labels, found: HandDetectionFiles) -> dict[int, dict[str, object]]:
-    """Return, by frame, joints and silhouette of hands that were found [px]; no joints in frames without a hand."""
+    """Return, by frame, joints and silhouette of the detected hand [px]; no joints in frames without a hand."""
     out: dict[int, dict[str, object]] = {}
     for n in range(labels.first, labels.last + 1):
         mask, joints = found.mask(n), found.joints.get(n)
@@ -65,25 +62,16 @@ def draft_detected_hand(labels: Labels, found: HandDetectionFiles) -> dict[int, 
 def draft_masks(
     labels: Labels, image: Images, known: Container[int] = (), seen: Hands = lambda _: None
 ) -> Iterator[tuple[int, dict[str, object]]]:
-    """Yield each frame with polygons of object, hand and what is in front [px], and their confidence (0 to 1).
+    """Yield each frame with polygons of object, hand and occluders [px], and their confidence (0 to 1).
 
-    ``seen`` is where the hand is, as far as that is known.
-
-    Stretches between key frames of which all frames are ``known`` are left out. Raises ``UsageError`` as ``propagate_labels``
-    does.
+    ``seen`` returns the visible hand, where it is known. Spans between key frames are skipped if all their frames are
+    ``known``. Raises ``UsageError`` as ``propagate_labels`` does.
     """
-    for frame, drawn, confidence in propagate_labels(
-        image, keyframe_label_maps(labels, image, seen), labels.first, labels.last, known, seen
-    ):
-        yield (
-            frame,
-            {
-                "object": _mask_to_polygons(drawn == OBJECT_LABEL),
-                "front": _mask_to_polygons(drawn == OCCLUDER_LABEL),
-                "hand": _mask_to_polygons(drawn == HAND_LABEL),
-                "confidence": round(float(confidence), 3),
-            },
-        )
+    kinds = {"object": OBJECT_LABEL, "front": OCCLUDER_LABEL, "hand": HAND_LABEL}
+    drawn = keyframe_label_maps(labels, image, seen)
+    for frame, found, confidence in propagate_labels(image, drawn, labels.first, labels.last, known, seen):
+        shapes = {kind: _mask_to_polygons(found == label) for kind, label in kinds.items()}
+        yield frame, shapes | {"confidence": round(float(confidence), 3)}
 
 
 def _mask_to_polygons(mask: Bool[ndarray, "H W"], zoom: float = 1.0) -> list[list[list[float]]]:
@@ -95,7 +83,7 @@ def _round_points(points: Float[ndarray, "n 2"]) -> list[list[float]]:
 
 
 def trace_polygons(mask: Bool[ndarray, "H W"]) -> list[Polygon]:
-    """Trace polygons around the parts of a mask [px]; filling them (``readers.masks.mask_regions.polygons``) nearly restores it.
+    """Trace polygons around the parts of a mask [px]; ``readers.masks.mask_regions.fill_polygons`` nearly restores it.
 
     A part with a hole has a polygon with a slit: along its border, in to the hole, around it and back out.
     """
@@ -106,11 +94,8 @@ def trace_polygons(mask: Bool[ndarray, "H W"]) -> list[Polygon]:
         return []
     least = MIN_PART_AREA_FRACTION * max(float(cv2.contourArea(one)) for one in contours)
     coarse = POLYGON_TOLERANCE * max(mask.shape)
-    kept = {
-        n: np.asarray(cv2.approxPolyDP(one, coarse, True)[:, 0], np.int64)
-        for n, one in enumerate(contours)
-        if cv2.contourArea(one) >= max(least, 1.0)
-    }
+    large = [(n, one) for n, one in enumerate(contours) if cv2.contourArea(one) >= max(least, 1.0)]
+    kept = {n: np.asarray(cv2.approxPolyDP(one, coarse, True)[:, 0], np.int64) for n, one in large}
     shapes = {n: corners for n, corners in kept.items() if tree[0][n][3] < 0 and len(corners) >= 3}
     for n, hole in kept.items():
         if (outside := int(tree[0][n][3])) in shapes and len(hole) >= 3:
@@ -119,7 +104,7 @@ def trace_polygons(mask: Bool[ndarray, "H W"]) -> list[Polygon]:
 
 
 def _join_hole(outside: Int[ndarray, "n 2"], hole: Int[ndarray, "m 2"]) -> Int[ndarray, "k 2"]:
-    """One polygon around both, slit where they are nearest to each other."""
+    """Join both into one polygon, slit where they are nearest to each other."""
     distance = np.linalg.norm(outside[:, None] - hole[None], axis=-1)
     i, j = np.unravel_index(int(distance.argmin()), distance.shape)
     around = np.concatenate([hole[j:], hole[: j + 1]])

@@ -1,20 +1,13 @@
-"""From polygons on a few frames to masks of every frame: dense optical flow, GrabCut along the border.
+"""Propagate the label maps of a few key frames to all frames.
 
-Each mask is carried as a signed distance from its border, frame by frame: from the key before forwards, from the key
-after backwards (``carried_masks``); it depends on these two keys alone. The two are merged (``merged_masks``): where
-they differ the keys' colours decide, the ground that keys show, and the nearer key; what has come into the image since
-one key is known from the other only. At last the border is drawn at the image's own size (``fine_border``).
+Each mask is propagated as a signed distance from its border (``propagate_frame``): from the key frame before forwards,
+and from the key frame after backwards; it depends on these two alone. Both are merged: where they differ, the object
+has come into view since one of the key frames, or was lost on the way from it. A minimal cut decides, by the colours
+and the background of the key frames, and by distance and trust of both. At last the border is redrawn at full size.
 
-The confidence of a frame is the share that is expected to be right: of two, a pixel is lost if both are wrong, and
-hardly near to a key; it is 1 on keys. Of one only, before the first key, after the last and up to a cut, it is its
-trust: the share of the border for which flow there and back agrees, all steps since the key multiplied. It is 0 from
-where the object is lost.
-
-Two masks of a frame, carried from the key before and the key after, merged into one.
-
-Where they differ the object has come into view since one of the keys, or was lost on the way from it. Which of the two
-it is shows in the colours: a cut decides, by those of the keys and by how near and how sure the keys are. Then the
-border is drawn anew.
+The confidence of a frame is the fraction of its mask that is expected to be right: 1 on key frames, 0 from the frame on
+in which the object is lost. Between two key frames a pixel is wrong only if both masks are wrong; confidence is high
+near either. Before the first key frame, after the last and up to a cut it is the trust of the single mask.
 """
 
 from __future__ import annotations
@@ -52,25 +45,234 @@ from getagrip.studio.masks.propagate_frame import (
     signed_distance,
     track_mask,
 )
-from getagrip.studio.masks.stroke_prompt import refine_full_resolution
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
 
+OBJECT_WORKING_SIZE_PX = 200.0
+"""Longer side of the object in the reduced images in which masks are propagated [px]."""
+MAX_UPSCALED_PIXELS = 1e6
+"""Number of pixels up to which images of small objects are enlarged for this."""
+MIN_COMPONENT_AREA_RATIO = 0.25
+"""Area of a component, as a fraction of the largest one's, below which it may not be the object."""
+VANISHED_AREA_FRACTION, SHRUNK_AREA_FRACTION, MAX_SHRINKING_FRAMES = 0.05, 0.4, 60
+"""Area, as a fraction of the key frame's, below which the object is lost; area below which it is shrinking: it is lost
+from the shrinking's start, at most this number of frames earlier."""
+ADJACENCY_KERNEL_PX = 9
+"""Side of the square around a pixel within which other pixels are adjacent [px]."""
 SIDE_PRIOR_WEIGHT = 0.5
-"""Weight of the sides beside the colours' mean, in multiples of one ``BORDER_SIGMA_PX``."""
+"""Weight of signed distances, in multiples of ``BORDER_SIGMA_PX``, relative to the log ratio of colours."""
 AGREED_PIXEL_COST = 10.0
-"""Cost of a pixel on the other side than where both have it."""
+"""Cost of a pixel whose label differs from both masks' common label."""
 MIN_BORDER_CERTAINTY, AGREED_BORDER_CERTAINTY = 0.1, 0.2
-"""Certainty of the merged border, when it is drawn anew, where the two differ, and where they are alike: from 0,
-colours alone, to 1. Near to a key it is that key's."""
+"""Certainty of the merged border before it is redrawn, where both masks differ and where they agree; 0: colours alone
+decide. Near a key frame the certainty is higher."""
+BORDER_SEARCH_PX = 2.5
+"""Largest shift of the border at full size [px of the reduced size]."""
+SIDE_INTERIOR_PX = 0.8
+"""Distance from the border beyond which pixels count for the colours of their side [px of the reduced size]."""
+COLOUR_WINDOW_RADIUS_PX = 4.0
+"""Half side of the squares in which colours are averaged: small, but reaching both sides from any place of the border
+[px of the reduced size]."""
+BORDER_SMOOTHING_PX = 0.5
+"""Standard deviation of the Gaussian that smooths the border [px of the reduced size]."""
+SIDE_COLOUR_SIGMA = 4.0
+"""Standard deviation of a side's colours [of 255]."""
+
+
+class PropagatedLabels(NamedTuple):
+    """The label map of a frame."""
+
+    frame: int
+    labels: UInt8[ndarray, "H W"]
+    """0, ``OBJECT_LABEL``, ``OCCLUDER_LABEL`` or ``HAND_LABEL``."""
+    confidence: float
+    """0 (the object is lost) to 1 (as drawn)."""
+
+
+class KeyframeSpan(NamedTuple):
+    """Consecutive frames, ends included, whose masks come from the same key frames."""
+
+    first: int
+    last: int
+    keys: tuple[int, ...]
+    """The key frame itself; else the key frames before and after, one or two."""
+
+
+def keyframe_spans(keys: Iterable[int], first: int, last: int) -> Iterator[KeyframeSpan]:
+    """Yield the spans between ``keys`` that make up the frames ``first`` to ``last``, both included, in order."""
+    for before, after in pairwise([None, *sorted(keys), None]):
+        if before is not None:
+            yield KeyframeSpan(before, before, (before,))
+        start, end = first if before is None else before + 1, last if after is None else after - 1
+        if start <= end:
+            yield KeyframeSpan(start, end, tuple(key for key in (before, after) if key is not None))
+
+
+def propagate_labels(
+    image: Images,
+    keys: Mapping[int, UInt8[ndarray, "H W"]],
+    first: int,
+    last: int,
+    known: Container[int] = (),
+    hand: Hands = lambda _: None,
+) -> Iterator[PropagatedLabels]:
+    """Yield the label maps of the frames ``first`` to ``last``, both included, in order; key frames' are unchanged.
+
+    ``keys`` are the key frames' label maps. ``hand`` returns the visible hand, if it is known; a hand drawn on a key
+    frame replaces it up to the adjacent key frames.
+
+    Spans are skipped if all their frames are ``known``. Images are read from one key frame to the next and back. Raises
+    ``UsageError`` where no key frame shows the object, or key frames are outside the interval or of different sizes.
+    """
+    _check_keyframes(keys, first, last)
+    for span in keyframe_spans(keys, first, last):
+        if not all(n in known for n in range(span.first, span.last + 1)):
+            yield from _propagate_span(image, {n: keys[n] for n in span.keys}, span, hand)
+
+
+def _propagate_span(
+    image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], span: KeyframeSpan, hand: Hands
+) -> Iterator[PropagatedLabels]:
+    if any((labels == HAND_LABEL).any() for labels in keys.values()):
+        hand = no_hand_mask
+    keys = {n: _add_hand_label(labels, hand(n)) for n, labels in keys.items()}
+    first, last, (before, after) = span.first, span.last, (min(keys), max(keys))
+    if first in keys:
+        yield PropagatedLabels(first, keys[first], 1.0)
+        return
+    size = _working_size(keys)
+    frames = SmallFrames(image, size)
+    colours = keyframe_histograms(frames, keys)
+    streams = [track_mask(frames, key, keys[key], to, colours, hand) for key, to in ((before, last), (after, first))]
+    there = _mark_lost(streams[0], keys[before], frames) if before < first else None
+    back = list(_mark_lost(streams[1], keys[after], frames))[::-1] if after > last else None
+    if there is None or back is None:
+        made = ((each, each.trust) for each in there or back or ())
+    else:
+        shares = ((n - before) / (after - before) for n in range(first, last + 1))
+        both = zip(there, back, shares, strict=True)
+        made = (merge_masks(one, other, share, frames[one.frame], colours) for one, other, share in both)
+    apart = any(_detached_parts(labels).any() for labels in keys.values())
+    for each, confidence in made:
+        labels = _upscale_labels(each, keys[before].shape, frames)
+        if not apart:
+            labels = np.where(_detached_parts(labels), np.uint8(0), labels)
+        yield PropagatedLabels(each.frame, labels, confidence)
+
+
+def _mark_lost(
+    carried: Iterable[TrackedMask], key: UInt8[ndarray, "H W"], frames: SmallFrames
+) -> Iterator[TrackedMask]:
+    """Yield the masks propagated from a key frame, with a trust of 0 from the frame on in which the object is lost.
+
+    The object is lost where its mask vanishes away from the image's edge, from the shrinking's start on: hidden parts
+    are remembered, so only a wrong border shrinks to nothing.
+    """
+    area, lost, at_edge = np.count_nonzero(key == OBJECT_LABEL) * np.prod(frames.size) / key.size, False, False
+    shrinking: list[TrackedMask] = []
+    for each in carried:
+        inside = each.inside[0] > 0.0
+        share = np.count_nonzero(inside) / area if area else 1.0
+        lost = lost or bool(share < VANISHED_AREA_FRACTION and not at_edge)
+        if share > SHRUNK_AREA_FRACTION or len(shrinking) >= MAX_SHRINKING_FRAMES or at_edge or lost:
+            yield from (one._replace(trust=0.0) if lost else one for one in shrinking)
+            shrinking = []
+        if share > SHRUNK_AREA_FRACTION:
+            at_edge = _touches_image_border(each, inside, frames.size)
+        if lost or share > SHRUNK_AREA_FRACTION or at_edge:
+            yield each._replace(trust=0.0) if lost else each
+        else:
+            shrinking.append(each)
+    yield from shrinking
+
+
+def _touches_image_border(each: TrackedMask, inside: Bool[ndarray, "h w"], size: tuple[int, int]) -> bool:
+    """Return whether the object reaches an edge of the image."""
+    if not inside.any():
+        return False
+    low = np.argwhere(inside).min(axis=0)[::-1] + each.corner
+    high = np.argwhere(inside).max(axis=0)[::-1] + each.corner
+    return bool((low <= 0).any() or (high >= np.array(size) - 1).any())
+
+
+def no_hand_mask(_: int) -> None:
+    """Return the visible hand of a clip without known hands: None in every frame."""
+
+
+def _add_hand_label(labels: UInt8[ndarray, "H W"], hand: Bool[ndarray, "h w"] | None) -> UInt8[ndarray, "H W"]:
+    """Add the hand to a key frame's label map, where nothing is drawn."""
+    import cv2
+
+    if hand is None:
+        return labels
+    seen = cv2.resize(hand.astype(np.float32), labels.shape[::-1], interpolation=cv2.INTER_LINEAR) > 0.5
+    return np.where(seen & (labels == 0), np.uint8(HAND_LABEL), labels)
+
+
+def _check_keyframes(keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int) -> None:
+    if not any((labels == OBJECT_LABEL).any() for labels in keys.values()):
+        raise UsageError("missing polygons: one frame at least needs one around the object")
+    outside = [n for n in keys if not first <= n <= last]
+    if outside:
+        raise UsageError(f"polygons must be on frames {first} to {last} (got some on frame {outside[0]})")
+    if len({labels.shape for labels in keys.values()}) > 1:
+        raise UsageError("polygons must be masks of one size (got masks of different sizes)")
+
+
+def _working_size(keys: Mapping[int, UInt8[ndarray, "H W"]]) -> tuple[int, int]:
+    """Return width and height at which the object's longer side, a mean over the keys, is ``OBJECT_WORKING_SIZE_PX``.
+
+    Only small masks are enlarged. If no key frame shows the object, its occluders count instead.
+    """
+    boxes = {
+        kind: [np.ptp(np.nonzero(labels == kind), axis=1) for labels in keys.values() if kind in labels]
+        for kind in TRACKED_LABELS
+    }
+    sides = [float(box.max()) for box in boxes[OBJECT_LABEL] or boxes[OCCLUDER_LABEL]]
+    height, width = next(iter(keys.values())).shape
+    side = max(1.0, float(np.mean(sides or [1.0])))
+    zoom = min(OBJECT_WORKING_SIZE_PX / side, max(1.0, float(np.sqrt(MAX_UPSCALED_PIXELS / (width * height)))))
+    return max(16, round(zoom * width)), max(16, round(zoom * height))
+
+
+def _upscale_labels(each: TrackedMask, shape: tuple[int, ...], frames: SmallFrames) -> UInt8[ndarray, "H W"]:
+    """Return the label map of a mask at a shape (height, width), its border redrawn at the image's full size."""
+    import cv2
+
+    height, width = shape
+    inside, _ = place_in_window(each, (0, 0), frames.size)
+    labels = np.zeros((height, width), np.uint8)
+    for kind, distances in zip(TRACKED_LABELS[1:], inside[1:], strict=True):  # the last label is in front
+        if (distances > 0).any():
+            labels[cv2.resize(distances, (width, height), interpolation=cv2.INTER_LINEAR) > 0] = kind
+    whole = frames[each.frame].whole
+    visible = cv2.resize(np.minimum(inside[0], -inside[1:].max(axis=0)), whole.shape[1::-1])
+    found = refine_full_resolution(whole, visible, whole.shape[1] / frames.size[0]).astype(np.float32)
+    labels[cv2.resize(found, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5] = OBJECT_LABEL
+    return labels
+
+
+def _detached_parts(labels: UInt8[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
+    """Return small components of the object that no occluder separates from the rest: other things of its colours."""
+    import cv2
+
+    square = np.ones((ADJACENCY_KERNEL_PX, ADJACENCY_KERNEL_PX), np.uint8)
+    covered = cv2.dilate((labels > OBJECT_LABEL).astype(np.uint8), square) > 0
+    count, parts, stats, _ = cv2.connectedComponentsWithStats((labels == OBJECT_LABEL).astype(np.uint8))
+    areas = np.where(np.arange(count) > 0, stats[:, cv2.CC_STAT_AREA], 0)
+    largest, edge = areas.argmax(), np.ones(labels.shape, bool)
+    edge[1:-1, 1:-1] = False
+    if (parts[edge] == largest).any() and areas[largest]:  # components may be joined beyond the image
+        covered |= edge
+    beside = np.bincount(parts[covered], minlength=count) > 0
+    return ((areas > 0) & (areas < MIN_COMPONENT_AREA_RATIO * areas[largest]) & ~beside)[parts]
 
 
 def merge_masks(
     one: TrackedMask, other: TrackedMask, share: float, frame: SmallFrame, colours: Sequence[ColourHistogram]
 ) -> tuple[TrackedMask, float]:
-    """Make one mask of two of a frame, whose ``frame`` is of the size at which they were carried.
+    """Merge two masks of a ``frame`` into one; also return its confidence, from their intersection over union.
 
-    ``share`` is how far the frame is from the key of ``one`` to the other's, 0 to 1; ``colours`` are the keys'. Also
-    returned is its confidence, from the agreement of the two (intersection over union) where both are known.
+    ``share`` is the frame's position between the key frames of both, 0 to 1; ``colours`` are the key frames'.
     """
     left, top = np.minimum(one.corner, other.corner).tolist()
     ends = [np.add(each.corner, each.inside.shape[:0:-1]) for each in (one, other)]
@@ -106,10 +308,9 @@ def merge_masks(
 
 
 def _merge_confidence(agreement: float, share: float, trust: float, other_trust: float) -> float:
-    """Return how much of the merged mask is expected to be right.
+    """Return the fraction of the merged mask that is expected to be right.
 
-    A pixel is lost where both sides are wrong, and hardly near to a key. What lies beyond a cut does not count: the
-    other side's trust does.
+    A mask from beyond a cut has no trust and does not count: the other one's trust does.
     """
     if trust > 0.0 and other_trust > 0.0:
         return float(1.0 - 4.0 * share * (1.0 - share) * (1.0 - agreement) ** 2)
@@ -123,17 +324,16 @@ def _resolve_disagreement(
     sides: Float32[ndarray, "h w"],
     likely: Float32[ndarray, "h w"],
 ) -> Bool[ndarray, "h w"]:
-    """Return what is in both masks, and what ``sides`` and colours speak for of what is in one of them."""
-    cost = np.where(
-        one ^ other, -(likely + SIDE_PRIOR_WEIGHT * sides), np.where(one, -AGREED_PIXEL_COST, AGREED_PIXEL_COST)
-    )
+    """Return the pixels of both masks, and those of one mask that signed distances ``sides`` and colours support."""
+    agreed = np.where(one, -AGREED_PIXEL_COST, AGREED_PIXEL_COST)
+    cost = np.where(one ^ other, -(likely + SIDE_PRIOR_WEIGHT * sides), agreed)
     return minimal_cut(cost.astype(np.float32), edge_cost(image), np.add(one, other, dtype=np.float32) / 2.0)
 
 
 def _merge_ground_evidence(
     some: Sequence[TrackedMask], corner: tuple[int, int], size: tuple[int, int]
 ) -> Float32[ndarray, "h w"]:
-    """Return how unlike the ground pixels are: that ground which fits best, where one does."""
+    """Return ``TrackedMask.unlike`` of the background that fits a pixel best, if one does."""
     found = np.zeros((len(some), *size[::-1]), np.float32)
     for out, each in zip(found, some, strict=True):
         (left, top), (h, w) = np.subtract(each.corner, corner).tolist(), each.unlike.shape
@@ -151,223 +351,42 @@ def _redraw_border(
     colours: ColourHistogram,
     hidden: Bool[ndarray, "h w"],
 ) -> Float32[ndarray, "h w"]:
-    """Return signed distances from the border that colours draw: the keys' and those near to it in this image."""
+    """Redraw a border by the key frames' colours and the nearby ones of this image; return signed distances [px]."""
     inside = signed_distance(found)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in found.shape[::-1]))
     here = colour_log_ratio(at, colours, LocalColourHistogram.of(at, found, ~hidden & (np.abs(inside) > 1.0)), (x, y))
-    return refine_border(
-        image, inside, certain, np.clip(here, -MAX_COLOUR_LOG_RATIO, MAX_COLOUR_LOG_RATIO) + likely, hidden
-    )
+    limited = np.clip(here, -MAX_COLOUR_LOG_RATIO, MAX_COLOUR_LOG_RATIO)
+    return refine_border(image, inside, certain, limited + likely, hidden)
 
 
-OBJECT_WORKING_SIZE_PX = 200.0
-"""Masks are carried at a size at which the object's longer side is about so long [px]."""
-MAX_UPSCALED_PIXELS = 1e6
-"""Pixels up to which small images are enlarged for that."""
-MIN_COMPONENT_AREA_RATIO = 0.25
-"""Share of the object's largest part below which another may be something else."""
-VANISHED_AREA_FRACTION, SHRUNK_AREA_FRACTION, MAX_SHRINKING_FRAMES = 0.05, 0.4, 60
-"""An object of less than the first share of its key's pixels is lost, from where it has less than the second, at most
-this number of frames before."""
-ADJACENCY_KERNEL_PX = 9
-"""Side of a square about a pixel that is beside what it touches [px]."""
+def refine_full_resolution(
+    image: UInt8[ndarray, "H W 3"], inside: Float32[ndarray, "H W"], zoom: float
+) -> Bool[ndarray, "H W"]:
+    """Redraw a border near the one of signed distances ``inside`` [px of the reduced size].
 
-
-class PropagatedLabels(NamedTuple):
-    """A mask of a frame."""
-
-    frame: int
-    labels: UInt8[ndarray, "H W"]
-    """0, ``OBJECT_LABEL``, ``OCCLUDER_LABEL`` or ``HAND_LABEL``."""
-    confidence: float
-    """From 0, lost: nothing is known of the object, to 1, as drawn."""
-
-
-class KeyframeSpan(NamedTuple):
-    """Frames in a row whose masks come from the same keys."""
-
-    first: int
-    last: int
-    keys: tuple[int, ...]
-    """The frame itself where it is one; else the keys before and after, as far as there are."""
-
-
-def keyframe_spans(keys: Iterable[int], first: int, last: int) -> Iterator[KeyframeSpan]:
-    """Yield the frames ``first`` to ``last``, both included and in order, by the keys that their masks come from."""
-    for before, after in pairwise([None, *sorted(keys), None]):
-        if before is not None:
-            yield KeyframeSpan(before, before, (before,))
-        start, end = first if before is None else before + 1, last if after is None else after - 1
-        if start <= end:
-            yield KeyframeSpan(start, end, tuple(key for key in (before, after) if key is not None))
-
-
-def propagate_labels(
-    image: Images,
-    keys: Mapping[int, UInt8[ndarray, "H W"]],
-    first: int,
-    last: int,
-    known: Container[int] = (),
-    hand: Hands = lambda _: None,
-) -> Iterator[PropagatedLabels]:
-    """Yield the masks of the frames ``first`` to ``last``, both included, in order.
-
-    Those of keys are as they are given.
-
-    ``hand`` is where the hand is visible, if that is known; a key on which the hand is drawn replaces it up to the next
-    keys. Pixels of a key that show the hand say nothing of what is behind.
-
-    Stretches of which all frames are ``known`` are left out. Images are asked for from one key to the next and back
-    again. Raises ``UsageError`` where no key shows the object, keys are outside the interval or of different sizes.
+    Pixels near the border go to the side with the more similar colours nearby: one step of localised region-based
+    segmentation (Lankton, Tannenbaum, "Localizing Region-Based Active Contours", IEEE TIP 2008). ``zoom``: size of the
+    image relative to the reduced one.
     """
-    _check_keyframes(keys, first, last)
-    for stretch in keyframe_spans(keys, first, last):
-        if not all(n in known for n in range(stretch.first, stretch.last + 1)):
-            yield from _propagate_span(image, {n: keys[n] for n in stretch.keys}, stretch, hand)
-
-
-def _propagate_span(
-    image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], stretch: KeyframeSpan, hand: Hands
-) -> Iterator[PropagatedLabels]:
-    """Return the masks of a stretch from its own keys."""
-    if any((labels == HAND_LABEL).any() for labels in keys.values()):
-        hand = _unknown_hand_mask
-    keys = {n: _add_hand_label(labels, hand(n)) for n, labels in keys.items()}
-    first, last, (before, after) = stretch.first, stretch.last, (min(keys), max(keys))
-    if first in keys:
-        yield PropagatedLabels(first, keys[first], 1.0)
-        return
-    size = _working_size(keys)
-    frames = SmallFrames(image, size)
-    colours = keyframe_histograms(frames, keys)
-    streams = [track_mask(frames, key, keys[key], to, colours, hand) for key, to in ((before, last), (after, first))]
-    there = _mark_lost(streams[0], keys[before], frames) if before < first else None
-    back = list(_mark_lost(streams[1], keys[after], frames))[::-1] if after > last else None
-    if there is None or back is None:
-        made = ((each, each.trust) for each in there or back or ())
-    else:
-        shares = ((n - before) / (after - before) for n in range(first, last + 1))
-        both = zip(there, back, shares, strict=True)
-        made = (merge_masks(one, other, share, frames[one.frame], colours) for one, other, share in both)
-    apart = any(_detached_parts(labels).any() for labels in keys.values())
-    for each, confidence in made:
-        found = _upscale_labels(each, confidence, keys, frames)
-        yield (
-            found
-            if apart
-            else found._replace(labels=np.where(_detached_parts(found.labels), np.uint8(0), found.labels))
-        )
-
-
-def _mark_lost(
-    carried: Iterable[TrackedMask], key: UInt8[ndarray, "H W"], frames: SmallFrames
-) -> Iterator[TrackedMask]:
-    """Yield masks on their way from a key, with a trust of 0 from where the object is lost.
-
-    It is lost where it vanishes while neither something in front hides it nor the image ends, and from where it began
-    to: what is hidden is remembered (``carried_masks``), so that only a border that is wrong shrinks to nothing.
-    """
-    area, lost, at_edge = np.count_nonzero(key == OBJECT_LABEL) * np.prod(frames.size) / key.size, False, False
-    shrinking: list[TrackedMask] = []
-    for each in carried:
-        inside = each.inside[0] > 0.0
-        share = np.count_nonzero(inside) / area if area else 1.0
-        lost = lost or bool(share < VANISHED_AREA_FRACTION and not at_edge)
-        if share > SHRUNK_AREA_FRACTION or len(shrinking) >= MAX_SHRINKING_FRAMES or at_edge or lost:
-            yield from (one._replace(trust=0.0) if lost else one for one in shrinking)
-            shrinking = []
-        if share > SHRUNK_AREA_FRACTION:
-            at_edge = _touches_image_border(each, inside, frames.size)
-        if lost or share > SHRUNK_AREA_FRACTION or at_edge:
-            yield each._replace(trust=0.0) if lost else each
-        else:
-            shrinking.append(each)
-    yield from shrinking
-
-
-def _touches_image_border(each: TrackedMask, inside: Bool[ndarray, "h w"], size: tuple[int, int]) -> bool:
-    """Return whether the object reaches an edge of the image."""
-    if not inside.any():
-        return False
-    low = np.argwhere(inside).min(axis=0)[::-1] + each.corner
-    high = np.argwhere(inside).max(axis=0)[::-1] + each.corner
-    return bool((low <= 0).any() or (high >= np.array(size) - 1).any())
-
-
-def _unknown_hand_mask(_: int) -> None:
-    """Return the hand where nothing is known of it."""
-
-
-def _add_hand_label(labels: UInt8[ndarray, "H W"], hand: Bool[ndarray, "h w"] | None) -> UInt8[ndarray, "H W"]:
-    """Return a key's mask and the hand, where nothing is drawn."""
     import cv2
 
-    if hand is None:
-        return labels
-    seen = cv2.resize(hand.astype(np.float32), labels.shape[::-1], interpolation=cv2.INTER_LINEAR) > 0.5
-    return np.where(seen & (labels == 0), np.uint8(HAND_LABEL), labels)
-
-
-def _check_keyframes(keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int) -> None:
-    if not any((labels == OBJECT_LABEL).any() for labels in keys.values()):
-        raise UsageError("missing polygons: one frame at least needs one around the object")
-    outside = [n for n in keys if not first <= n <= last]
-    if outside:
-        raise UsageError(f"polygons must be on frames {first} to {last} (got some on frame {outside[0]})")
-    if len({labels.shape for labels in keys.values()}) > 1:
-        raise UsageError("polygons must be masks of one size (got masks of different sizes)")
-
-
-def _working_size(keys: Mapping[int, UInt8[ndarray, "H W"]]) -> tuple[int, int]:
-    """Width and height at which the object's longer side, a mean over the keys, is ``OBJECT_WORKING_SIZE_PX``.
-
-    Only small masks are enlarged for that. Where no key shows the object, what is in front of it counts.
-    """
-    boxes = {
-        kind: [np.ptp(np.nonzero(labels == kind), axis=1) for labels in keys.values() if kind in labels]
-        for kind in TRACKED_LABELS
-    }
-    sides = [float(box.max()) for box in boxes[OBJECT_LABEL] or boxes[OCCLUDER_LABEL]]
-    height, width = next(iter(keys.values())).shape
-    side = max(1.0, float(np.mean(sides or [1.0])))
-    zoom = min(OBJECT_WORKING_SIZE_PX / side, max(1.0, float(np.sqrt(MAX_UPSCALED_PIXELS / (width * height)))))
-    return max(16, round(zoom * width)), max(16, round(zoom * height))
-
-
-def _upscale_labels(
-    each: TrackedMask, confidence: float, keys: Mapping[int, UInt8[ndarray, "H W"]], frames: SmallFrames
-) -> PropagatedLabels:
-    """At the size of the keys' masks."""
-    import cv2
-
-    height, width = next(iter(keys.values())).shape
-    inside, _ = place_in_window(each, (0, 0), frames.size)
-    labels = np.zeros((height, width), np.uint8)
-    for kind, distances in zip(TRACKED_LABELS[1:], inside[1:], strict=True):  # what is in front wins
-        if (distances > 0).any():
-            labels[cv2.resize(distances, (width, height), interpolation=cv2.INTER_LINEAR) > 0] = kind
-    whole = frames[each.frame].whole
-    visible = cv2.resize(np.minimum(inside[0], -inside[1:].max(axis=0)), whole.shape[1::-1])
-    found = refine_full_resolution(whole, visible, whole.shape[1] / frames.size[0]).astype(np.float32)
-    labels[cv2.resize(found, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5] = OBJECT_LABEL
-    return PropagatedLabels(each.frame, labels, confidence)
-
-
-def _detached_parts(labels: UInt8[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
-    """Return small parts of the object that nothing in front separates from the rest: something else of its colours."""
-    import cv2
-
-    covered = (
-        cv2.dilate(
-            (labels > OBJECT_LABEL).astype(np.uint8), np.ones((ADJACENCY_KERNEL_PX, ADJACENCY_KERNEL_PX), np.uint8)
-        )
-        > 0
-    )
-    count, parts, stats, _ = cv2.connectedComponentsWithStats((labels == OBJECT_LABEL).astype(np.uint8))
-    areas = np.where(np.arange(count) > 0, stats[:, cv2.CC_STAT_AREA], 0)
-    largest, edge = areas.argmax(), np.ones(labels.shape, bool)
-    edge[1:-1, 1:-1] = False
-    if (parts[edge] == largest).any() and areas[largest]:  # they may be joined beyond the image
-        covered |= edge
-    beside = np.bincount(parts[covered], minlength=count) > 0
-    return ((areas > 0) & (areas < MIN_COMPONENT_AREA_RATIO * areas[largest]) & ~beside)[parts]
+    near = np.abs(inside) < BORDER_SEARCH_PX
+    if not near.any():
+        return np.asarray(inside > 0.0)
+    margin = round((BORDER_SEARCH_PX + COLOUR_WINDOW_RADIUS_PX) * zoom)
+    rows, columns = (slice(max(0, int(i.min()) - margin), int(i.max()) + margin) for i in np.nonzero(near))
+    part = rows, columns
+    colours = cv2.cvtColor(np.ascontiguousarray(image[part]), cv2.COLOR_RGB2LAB).astype(np.float32)
+    square = (2 * round(COLOUR_WINDOW_RADIUS_PX * zoom) + 1,) * 2
+    apart = []
+    for side in (inside[part] > SIDE_INTERIOR_PX, inside[part] < -SIDE_INTERIOR_PX):
+        weight = side.astype(np.float32)
+        total = cv2.boxFilter(weight, -1, square) + 1e-4
+        mean = cv2.boxFilter(colours * weight[..., None], -1, square) / total[..., None]
+        off = colours - mean
+        apart.append(np.einsum("hwc,hwc->hw", off, off) + SIDE_COLOUR_SIGMA**2)
+    score = inside[part] / BORDER_SEARCH_PX + (apart[1] - apart[0]) / (apart[1] + apart[0])
+    found = inside > 0.0
+    smooth = cv2.GaussianBlur(score, (0, 0), BORDER_SMOOTHING_PX * zoom)
+    found[part] = np.where(near[part], smooth > 0.0, found[part])
+    return np.asarray(found)

@@ -1,12 +1,9 @@
-"""A mask carried from its key frame through the images.
+"""Propagate the mask of a key frame, frame by frame.
 
-Where a pixel of the new frame was in the old one is found by dense inverse search (DIS; Kroeger, Timofte, Dai, Van
-Gool, "Fast Optical Flow using Dense Inverse Search", ECCV 2016). After each step GrabCut (Rother, Kolmogorov, Blake,
-SIGGRAPH 2004) draws the border anew in a narrow band, so that errors do not grow. Lengths are in
-pixels of the size at which masks are carried (``propagated_masks.SIDE``).
-
-What the hand, or something else in front, hides of the object is remembered: it moves on as the visible object does (an
-affine motion). Pixels that come into view and were never seen are unknown, not background: their colour decides.
+Optical flow gives each pixel's place in the frame before. After each step a minimal cut by colours redraws the border
+in a narrow band, so that errors do not accumulate. Parts of the object that the hand or another occluder hides are
+remembered, and move as the visible object does (an affine motion). Pixels that come into view are unknown rather than
+background: their colour decides. Lengths are in pixels of the reduced images (``OBJECT_WORKING_SIZE_PX``).
 """
 
 from __future__ import annotations
@@ -38,68 +35,70 @@ from getagrip.studio.masks.optical_flow import (
     hand_displacement,
     is_other_shot,
     motion_log_ratio,
+    squared_flow_error,
     warp_values,
 )
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
 
 Image = UInt8[ndarray, "H W 3"]
 Images = Callable[[int], Image]
-"""RGB by frame, from 0; of any one size that has the shape of the masks'."""
+"""RGB by frame, from 0; all of one size, with the masks' aspect ratio."""
 Hands = Callable[[int], Bool[ndarray, "H W"] | None]
-"""The visible hand by frame, of any one size of that shape; None where it is not known."""
+"""The visible hand by frame, all of one size, with the same aspect ratio; None where it is not known."""
 
 MAX_DISPLACEMENT_PX = 90
-"""Things that move farther than this from one frame to the next are lost [px]."""
+"""Largest displacement from one frame to the next; faster objects are lost [px]."""
 FLOW_GRID_PX = 60
-"""Parts of images in which flow is computed end at multiples of this, so that both directions share it [px]."""
+"""Grid to which the image parts for flow are rounded, so that both directions of time share the flow [px]."""
 BACKGROUND_BAND_PX = 40.0
-"""Colours of what is not the object are those of pixels nearer to it than this [px]."""
+"""Width of the band around the object whose colours are the background's [px]."""
 MAX_SIGNED_DISTANCE_PX = 24
-"""Signed distances end here [px]."""
+"""Limit of signed distances [px]."""
 BORDER_SIGMA_PX = 2.0
-"""The border of a mask that flow has moved is about so sure [px]."""
+"""Standard deviation of a mask's border after a step of flow [px]."""
 BORDER_PRIOR_WEIGHT, MASK_COLOUR_WEIGHT, MAX_COLOUR_LOG_RATIO = 4.0, 1.0, 3.0
-"""Weights of being one ``BORDER_SIGMA_PX`` from the border, and of a colour that is e times likelier on one side, up to e^MOST."""
+"""Weights of a distance of ``BORDER_SIGMA_PX`` from the border, and of a log ratio of colours of 1; limit of the log
+ratio."""
 FLOW_CONSISTENCY_PX = 1.5
-"""Flow there and back agrees if it ends so near to where it began [px]."""
-
+"""Error of the flow to a frame and back below which it is consistent [px]."""
 SEEN_PIXEL_CONFIDENCE, UNCOVERED_PIXEL_CONFIDENCE = 0.2, 0.15
-"""``SEEN_PIXEL_CONFIDENCE``: knowledge of a pixel that came into view after the key: its colour has decided. ``UNCOVERED_PIXEL_CONFIDENCE``: of one that
-something in front hid until then; unless it is taken for the object, its colour is not counted as the ground's."""
+"""Confidence of a pixel that came into view after the key frame, classified by its colour; and of a pixel that an
+occluder hid until then: unless it is classified as object, its colour is not counted as the background's."""
+MIN_CLASSIFIED_CONFIDENCE = (SEEN_PIXEL_CONFIDENCE + UNCOVERED_PIXEL_CONFIDENCE) / 2.0
+"""Confidence above which a pixel's label is known, or was classified by its colour."""
 OCCLUDED_CONFIDENCE_DECAY = 0.95
-"""Share of its knowledge that something hidden keeps from frame to frame."""
+"""Factor on the confidence of a hidden pixel from frame to frame."""
 OBJECT_INTERIOR_PX = 2.5
-"""The flow of pixels of the object that are farther from its border than this is its own [px]."""
+"""Distance from the object's border beyond which the flow of its pixels is the object's own [px]."""
 BORDER_STIFFNESS = 0.5
-"""Share by which a border that is certain moves less than colours would have it, so that errors do not add up."""
-
+"""Fraction of a border's shift by colours suppressed where the border is certain, so that errors do not add up."""
 MIN_TRUST_RATIO = 0.15
-"""Share of a mask's trust below which, after a frame, it is looked for as far away as the hand has moved."""
-
+"""Fraction of a mask's trust left after a step below which it is searched for at the hand's displacement."""
 HAND_KEEP_DISTANCE_PX = 10.0
-"""Pixels of a found hand stay the hand's, whatever their colours, farther than this from the expected object [px]."""
+"""Distance from the expected object beyond which pixels of the detected hand stay the hand's, whatever their colours
+[px]."""
 MIN_GROUND_DISTANCE_PX = 3.0
-"""Pixels farther than this from all that is carried show the ground [px]."""
-
+"""Distance from all tracked labels beyond which pixels show the background [px]."""
 TRACKED_LABELS = (OBJECT_LABEL, OCCLUDER_LABEL, HAND_LABEL)
-"""Kinds that are carried; where several are, the last one is visible."""
+"""Labels that are propagated; where they overlap, the last one is visible."""
 
 
 class TrackedMask(NamedTuple):
-    """The mask of a frame on its way; small, since those of all frames between two keys are kept."""
+    """The propagated mask of a frame, cropped, since the masks of all frames between two key frames are kept."""
 
     frame: int
     corner: tuple[int, int]
-    """Left and top of the part of the image that holds all of it [px]."""
+    """Left and top of the crop [px]."""
     inside: Float32[ndarray, "3 h w"]
-    """Signed distances from the borders of ``TRACKED_LABELS``, above 0 inside, -FAR to FAR [px].
+    """Signed distances from the borders of ``TRACKED_LABELS``, above 0 inside, up to ``MAX_SIGNED_DISTANCE_PX`` [px].
 
-    The object's where it is hidden, too."""
+    Hidden parts of the object are included."""
     known: Float32[ndarray, "h w"]
-    """1 where the key shows whether the object is there, 0 where nothing has shown that, ``SEEN_PIXEL_CONFIDENCE`` in between."""
+    """Confidence of each pixel's label: 1 where the key frame shows it, 0 where it was never seen."""
     trust: float
+    """Fraction of the border with consistent flow, multiplied over all steps since the key frame."""
     unlike: Float32[ndarray, "h w"]
-    """Log ratio of a pixel's probabilities on the object and on the ground behind (``Ground.unlike``)."""
+    """Log ratio of a pixel's probabilities on the object and on the background (``BackgroundModel.unlike``)."""
 
 
 def track_mask(
@@ -110,7 +109,10 @@ def track_mask(
     colours: Sequence[ColourHistogram],
     hand: Hands = lambda _: None,
 ) -> Iterator[TrackedMask]:
-    """Carry the mask of a key to the frames after it until ``to``, or before it; ``colours`` as of ``keyframe_histograms``."""
+    """Propagate the mask of the key frame ``key`` to the frames after it until ``to``, or to those before it.
+
+    ``colours`` are those of ``keyframe_histograms``; ``hand`` returns the visible hand.
+    """
     if key == to:
         return
     now = _mask_of_keyframe(key, labels, frames)
@@ -132,7 +134,7 @@ def track_mask(
 
 
 def keyframe_histograms(frames: SmallFrames, keys: Mapping[int, UInt8[ndarray, "H W"]]) -> list[ColourHistogram]:
-    """Return colours of each of ``TRACKED_LABELS`` and what is about it in the keys."""
+    """Return the colours of each of ``TRACKED_LABELS`` and of its surroundings, in the key frames ``keys``."""
     found: list[list[ColourHistogram]] = [[] for _ in TRACKED_LABELS]
     for n, labels in keys.items():
         inside = [
@@ -151,7 +153,7 @@ def _mask_of_keyframe(frame: int, labels: UInt8[ndarray, "H W"], frames: SmallFr
 
 
 def is_occluded(inside: Float32[ndarray, "3 h w"]) -> Bool[ndarray, "h w"]:
-    """Return where something is in front, or so near that the border may show it."""
+    """Return the pixels that an occluder hides, or whose border it may hide."""
     return np.asarray(inside[1:].max(axis=0) > -1.5)
 
 
@@ -176,26 +178,20 @@ def _track_mask_step(
     colours: Sequence[ColourHistogram],
     step: Step = ZERO_STEP,
 ) -> TrackedMask:
-    """Return a mask in the next frame; ``step``: about how far the object has moved [px]."""
-    import cv2
+    """Propagate a mask to the next frame; ``step`` is the object's approximate displacement [px]."""
 
-    if not now.inside.size:  # it is not visible
+    if not now.inside.size:  # the object is not visible
         return now._replace(frame=frame)
-    width, height = frames.size
-    left, top = now.corner
+    (width, height), (left, top) = frames.size, now.corner
     part = rows, columns = _search_window(now, frames.size)
     b, at = frames[frame].image[part], frames[frame].bins[part]
     there, back = frames.flows(before, frame, part, step)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in b.shape[1::-1]))
     came = x + back[..., 0], y + back[..., 1]
-    round_trip = back + cv2.remap(there, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-    off = np.sqrt(np.einsum("hwc,hwc->hw", round_trip, round_trip))
+    off = np.sqrt(squared_flow_error(there, back, came))
 
     def old(u: Float32[ndarray, "h w"], v: Float32[ndarray, "h w"]) -> tuple[ndarray, ndarray]:
-        return (
-            np.clip(u + columns.start, 0, width - 1) - left,
-            np.clip(v + rows.start, 0, height - 1) - top,
-        )
+        return (np.clip(u + columns.start, 0, width - 1) - left, np.clip(v + rows.start, 0, height - 1) - top)
 
     inside = np.stack([warp_values(kind, old(*came), -float(MAX_SIGNED_DISTANCE_PX)) for kind in now.inside])
     if hand is not None:
@@ -203,21 +199,14 @@ def _track_mask_step(
         inside[-1] = signed_distance(coloured | (hand[part] & (inside[0] < -HAND_KEEP_DISTANCE_PX)))
     hidden = is_occluded(inside)
     was_hidden = warp_values(is_occluded(now.inside).astype(np.float32), old(*came), 0.0) > 0.0
-    inner = (
-        (inside[0] > OBJECT_INTERIOR_PX)
-        & (off < FLOW_CONSISTENCY_PX)
-        & (inside[1:].max(axis=0) < -OBJECT_INTERIOR_PX)
-        & ~was_hidden
-    )
-    own = fit_object_motion(x, y, came, inner)
-    moves = np.zeros_like(off)
-    with_ground = fit_object_motion(
-        x, y, came, (inside.max(axis=0) < -OBJECT_INTERIOR_PX) & (off < FLOW_CONSISTENCY_PX) & ~was_hidden
-    )
+    usable = (off < FLOW_CONSISTENCY_PX) & ~was_hidden
+    inner = (inside[0] > OBJECT_INTERIOR_PX) & (inside[1:].max(axis=0) < -OBJECT_INTERIOR_PX)
+    own = fit_object_motion(x, y, came, inner & usable)
+    with_ground = fit_object_motion(x, y, came, (inside.max(axis=0) < -OBJECT_INTERIOR_PX) & usable)
     behind = ground.moved(part, came if with_ground is None else with_ground)
     unlike = behind.unlike(b, colours[0].counts[:, at], inside.max(axis=0) < -MIN_GROUND_DISTANCE_PX)
+    moves = np.zeros_like(off) if own is None else motion_log_ratio(came, own, with_ground, off)
     if own is not None:
-        moves = motion_log_ratio(came, own, with_ground, off)
         inside[0] = warp_values(now.inside[0], old(*own), -float(MAX_SIGNED_DISTANCE_PX))
         covered = hidden | was_hidden
         came = np.where(covered, own[0], came[0]), np.where(covered, own[1], came[1])
@@ -228,45 +217,41 @@ def _track_mask_step(
     trust = now.trust * (float(np.mean(off[border] < FLOW_CONSISTENCY_PX)) if border.any() else 1.0)
     if is_other_shot(frames[before].image[part], b, came):
         trust = 0.0
-    # Where the known ground is no longer seen, a new side of the object may be.
+    # Where the known background is no longer visible, a new side of the object may be.
     as_ground = np.where((inside[0] < 0.0) & (unlike > 0.0), 2.0 / (1.0 + np.exp(unlike)), 1.0)
-    certain = (known * as_ground * np.where(was_hidden, 0.1, np.where(off < FLOW_CONSISTENCY_PX, 1.0, 0.3))).astype(
-        np.float32
-    )
+    flow_certainty = np.where(was_hidden, 0.1, np.where(off < FLOW_CONSISTENCY_PX, 1.0, 0.3))
+    certain = (known * as_ground * flow_certainty).astype(np.float32)
     visible, known_before = place_in_window(now, (columns.start, rows.start), b.shape[1::-1])
-    top_most = ~is_occluded(visible) & (
-        (visible[0] > 0.0) | (known_before > (SEEN_PIXEL_CONFIDENCE + UNCOVERED_PIXEL_CONFIDENCE) / 2.0)
-    )
+    top_most = ~is_occluded(visible) & ((visible[0] > 0.0) | (known_before > MIN_CLASSIFIED_CONFIDENCE))
     for n, kind in enumerate(visible):
         if (n < 2 or hand is None) and (kind > 0).any():
             clear = (np.abs(kind) > 1.0) & (top_most if n == 0 else kind > -MAX_SIGNED_DISTANCE_PX)
-            likely = colour_log_ratio(
-                at, colours[n], LocalColourHistogram.of(frames[before].bins[part], kind > 0, clear), came
-            )
+            nearby = LocalColourHistogram.of(frames[before].bins[part], kind > 0, clear)
+            likely = colour_log_ratio(at, colours[n], nearby, came)
             if n == 0:
                 likely += moves + unlike
             inside[n] = refine_border(b, inside[n], certain, likely, hidden & (n == 0))
-    known = np.where(
-        hidden,
-        np.maximum(OCCLUDED_CONFIDENCE_DECAY * known, np.minimum(known, SEEN_PIXEL_CONFIDENCE)),
-        np.where(
-            in_view & ((off < FLOW_CONSISTENCY_PX) | (known < SEEN_PIXEL_CONFIDENCE)),
-            np.maximum(known, UNCOVERED_PIXEL_CONFIDENCE),
-            SEEN_PIXEL_CONFIDENCE,
-        ),
-    ).astype(np.float32)
+    followed = in_view & ((off < FLOW_CONSISTENCY_PX) | (known < SEEN_PIXEL_CONFIDENCE))
+    known = _next_confidence(known, hidden, followed)
     ground.renew(frames[frame].image, part, behind, inside.max(axis=0) < -MIN_GROUND_DISTANCE_PX)
     return _crop_to_mask(TrackedMask(frame, (columns.start, rows.start), inside, known, trust, unlike))
 
 
+def _next_confidence(
+    known: Float32[ndarray, "h w"], hidden: Bool[ndarray, "h w"], followed: Bool[ndarray, "h w"]
+) -> Float32[ndarray, "h w"]:
+    """Return ``TrackedMask.known`` after a step; ``followed`` pixels have an origin in view with consistent flow."""
+    remembered = np.maximum(OCCLUDED_CONFIDENCE_DECAY * known, np.minimum(known, SEEN_PIXEL_CONFIDENCE))
+    shown = np.where(followed, np.maximum(known, UNCOVERED_PIXEL_CONFIDENCE), SEEN_PIXEL_CONFIDENCE)
+    return np.where(hidden, remembered, shown).astype(np.float32)
+
+
 def _search_window(now: TrackedMask, size: tuple[int, int]) -> Part:
-    """Return the part of the next image that is looked at."""
+    """Return the part of the next image in which the mask may be."""
     ends = []
     for begin, length, limit in zip(now.corner, now.inside.shape[:0:-1], size, strict=True):
-        first, last = (
-            (begin - MAX_DISPLACEMENT_PX) // FLOW_GRID_PX * FLOW_GRID_PX,
-            -(-(begin + length + MAX_DISPLACEMENT_PX) // FLOW_GRID_PX) * FLOW_GRID_PX,
-        )
+        first = (begin - MAX_DISPLACEMENT_PX) // FLOW_GRID_PX * FLOW_GRID_PX
+        last = -(-(begin + length + MAX_DISPLACEMENT_PX) // FLOW_GRID_PX) * FLOW_GRID_PX
         ends.append(slice(max(0, first), min(limit, last)))
     return ends[1], ends[0]
 
@@ -278,9 +263,9 @@ def refine_border(
     colours: Float32[ndarray, "h w"],
     hidden: Bool[ndarray, "h w"],
 ) -> Float32[ndarray, "h w"]:
-    """Draw a border by colours: near to the expected one, freely where nothing is certain; its signed distances.
+    """Redraw a border by ``colours`` (log ratios), near the expected one where it is ``certain`` (0 to 1).
 
-    What is ``hidden`` stays as it is.
+    Returns signed distances [px]; ``hidden`` pixels stay as they are.
     """
     import cv2
 
@@ -302,7 +287,7 @@ def refine_border(
 
 
 def signed_distance(mask: Bool[ndarray, "h w"], far: float = MAX_SIGNED_DISTANCE_PX) -> Float32[ndarray, "h w"]:
-    """Measure the distance from the border between pixels, above 0 inside, up to ``far`` [px]."""
+    """Measure signed distances from a mask's border, above 0 inside, limited to ``far`` [px]."""
     import cv2
 
     distances = []
@@ -316,7 +301,7 @@ def signed_distance(mask: Bool[ndarray, "h w"], far: float = MAX_SIGNED_DISTANCE
 
 
 def _crop_to_mask(whole: TrackedMask) -> TrackedMask:
-    """Only the part that holds what is inside, and what is near to it."""
+    """Crop a mask to its pixels and those within ``MAX_SIGNED_DISTANCE_PX`` of them."""
     near = (whole.inside > -MAX_SIGNED_DISTANCE_PX).any(axis=0)
     rows, columns = (
         (slice(int(i.min()), int(i.max()) + 1) for i in np.nonzero(near)) if near.any() else (slice(0, 0), slice(0, 0))
@@ -329,11 +314,9 @@ def _crop_to_mask(whole: TrackedMask) -> TrackedMask:
 def place_in_window(
     each: TrackedMask, corner: tuple[int, int], size: tuple[int, int]
 ) -> tuple[Float32[ndarray, "3 h w"], Float32[ndarray, "h w"]]:
-    """Place signed distances, and what is known, in another part of the image, which holds theirs."""
-    inside, known = (
-        np.full((len(TRACKED_LABELS), *size[::-1]), -float(MAX_SIGNED_DISTANCE_PX), np.float32),
-        np.ones(size[::-1], np.float32),
-    )
+    """Return a mask's signed distances and confidence in a larger part of the image, at a ``corner`` of a ``size``."""
+    inside = np.full((len(TRACKED_LABELS), *size[::-1]), -float(MAX_SIGNED_DISTANCE_PX), np.float32)
+    known = np.ones(size[::-1], np.float32)
     (left, top), (h, w) = np.subtract(each.corner, corner).tolist(), each.inside.shape[1:]
     inside[:, top : top + h, left : left + w] = each.inside
     known[top : top + h, left : left + w] = each.known

@@ -1,14 +1,10 @@
 """Segment the object from strokes or clicks on one frame; every stroke is obeyed.
 
-Strokes are completed by GrabCut, clicks by what moves with them (``click_motion``).
-
-Rother, Kolmogorov, Blake, SIGGRAPH 2004. A stroke lies on the object ("on") or on what is not the object ("off"). If
-polygons are drawn on the frame as well, strokes correct them nearby, and they are kept elsewhere.
-
-The border of a mask at the image's own size: pixels near to it go to the side with the more similar colours nearby.
-
-Localised region-based segmentation (Lankton, Tannenbaum, "Localizing Region-Based Active Contours", IEEE TIP 2008), one
-step of it from the border that was found at a smaller size.
+A stroke lies on the object ("on") or on something else ("off"). GrabCut (Rother, Kolmogorov, Blake, SIGGRAPH 2004)
+completes strokes; if polygons are drawn on the frame as well, strokes correct them nearby, and distant parts stay as
+drawn. A click is completed by motion: the object is the pixels that move with the click, in frames before and after it,
+and not with the surroundings, i.e. pixels far from click and hand. The object moves as the pixels at the click and at
+the hand do, or independently: a pixel far from both motions is no evidence beyond ``INDEPENDENT_MOTION_LOG_RATIO``.
 """
 
 from __future__ import annotations
@@ -19,74 +15,56 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray
 
-from getagrip.studio.masks.click_prompt import click_motion_log_ratio, segment_by_click_motion
-from getagrip.studio.masks.graph_cut import ColourHistogram, colour_bins, colour_log_ratio, overlapping_components
-from getagrip.studio.masks.propagate_frame import Hands, Image, Images
+from getagrip.studio.masks.graph_cut import (
+    ColourHistogram,
+    colour_bins,
+    colour_log_ratio,
+    edge_cost,
+    minimal_cut,
+    overlapping_components,
+)
+from getagrip.studio.masks.optical_flow import FLOW_SIGMA_PX, fit_object_motion, optical_flow, squared_flow_error
+from getagrip.studio.masks.propagate_frame import FLOW_CONSISTENCY_PX, Hands, Image, Images
 from getagrip.studio.store.labels import OBJECT_LABEL, FrameLabels, Labels
 
-BORDER_SEARCH_PX = 2.5
-"""The border moves by less than this [px of the smaller size]."""
-SIDE_INTERIOR_PX = 0.8
-"""Pixels farther from it than this count for their side's colours [px of the smaller size]."""
-COLOUR_WINDOW_RADIUS_PX = 4.0
-"""Half side of the squares in which colours are averaged: small, but from wherever the border may be they reach both
-sides [px of the smaller size]."""
-BORDER_SMOOTHING_PX = 0.5
-"""Standard deviation of the Gaussian that smooths the border [px of the smaller size]."""
-SIDE_COLOUR_SIGMA = 4.0
-"""Standard deviation of a side's colours [of 255]."""
-
-
-def refine_full_resolution(
-    image: UInt8[ndarray, "H W 3"], inside: Float32[ndarray, "H W"], zoom: float
-) -> Bool[ndarray, "H W"]:
-    """Draw the border anew, near the one that signed distances give [px of the smaller size].
-
-    ``zoom``: how many times larger the image is.
-    """
-    import cv2
-
-    near = np.abs(inside) < BORDER_SEARCH_PX
-    if not near.any():
-        return np.asarray(inside > 0.0)
-    margin = round((BORDER_SEARCH_PX + COLOUR_WINDOW_RADIUS_PX) * zoom)
-    rows, columns = (slice(max(0, int(i.min()) - margin), int(i.max()) + margin) for i in np.nonzero(near))
-    part = rows, columns
-    colours = cv2.cvtColor(np.ascontiguousarray(image[part]), cv2.COLOR_RGB2LAB).astype(np.float32)
-    square = (2 * round(COLOUR_WINDOW_RADIUS_PX * zoom) + 1,) * 2
-    apart = []
-    for side in (inside[part] > SIDE_INTERIOR_PX, inside[part] < -SIDE_INTERIOR_PX):
-        weight = side.astype(np.float32)
-        total = cv2.boxFilter(weight, -1, square) + 1e-4
-        mean = cv2.boxFilter(colours * weight[..., None], -1, square) / total[..., None]
-        off = colours - mean
-        apart.append(np.einsum("hwc,hwc->hw", off, off) + SIDE_COLOUR_SIGMA**2)
-    score = inside[part] / BORDER_SEARCH_PX + (apart[1] - apart[0]) / (apart[1] + apart[0])
-    found = inside > 0.0
-    smooth = cv2.GaussianBlur(score, (0, 0), BORDER_SMOOTHING_PX * zoom)
-    found[part] = np.where(near[part], smooth > 0.0, found[part])
-    return np.asarray(found)
-
-
 MAX_GRABCUT_SIDE_PX = 480
-"""Largest side of the image part that GrabCut runs on [px]."""
+"""Largest side of the image crop that GrabCut runs on [px]."""
 STROKE_WIDTH_FRACTION = 0.008
-"""Width of a stroke, as a share of the image's shorter side."""
+"""Width of a stroke, as a fraction of the image's shorter side."""
 MIN_OBJECT_REACH, MAX_OBJECT_REACH = 0.25, 0.45
-"""The object reaches no farther from the strokes than their extent, limited to these shares of the image's shorter
-side; from a single click, no farther than the larger one."""
+"""Limits of the object's reach beyond its strokes, as fractions of the image's shorter side: in between, the reach is
+the strokes' extent; from a single click, it is the larger limit."""
 MAX_CLICK_EXTENT = 0.05
-"""Strokes of an extent less than this share are a click."""
+"""Extent of strokes, as a fraction of the image's shorter side, below which they are a click."""
 CORRECTION_RADIUS_FRACTION = 0.12
-"""Polygons are corrected within this share of the image's shorter side from a stroke."""
+"""Distance from a stroke within which polygons are corrected, as a fraction of the image's shorter side."""
 STROKE_GRABCUT_ITERATIONS = 5
-"""Rounds of GrabCut."""
+CLICK_MOTION_IMAGE_PX = 320
+"""Longer side of the images in which motion is measured [px]."""
+COMPARED_FRAME_OFFSETS = (-36, -24, -16, -8, -4, 4, 8, 16, 24, 36)
+"""Frames in which motion is measured, relative to the click's frame."""
+CLICK_RADIUS_FRACTION, MIN_SURROUNDINGS_DISTANCE = 0.05, 0.3
+"""Distances from the click, in shorter sides of the image: nearer pixels are the object's, and beyond the second number
+they are the surroundings'."""
+CLICK_HAND_DILATION_PX = 9
+"""Side of the square by which the hand is dilated: its flow reaches beyond its border [px]."""
+INDEPENDENT_MOTION_LOG_RATIO = 2.0
+"""Log ratio by which a pixel moves independently rather than as the object."""
+MIN_CLICK_EVIDENCE = 1.0
+"""Evidence at the click below which nothing has moved."""
+MOVING_LOG_RATIO_THRESHOLD, STATIC_LOG_RATIO_THRESHOLD = 0.5, -1.5
+"""Log ratios of motion: pixels above the first number show the object's colours, below the second the background's."""
+MOTION_DEAD_ZONE, MOTION_EVIDENCE_RANGE = 0.3, (-2.0, 0.75)
+"""Log ratio of motion that is no evidence, and limits of the evidence, which is 1 at three times the dead zone."""
+CLICK_COLOUR_WEIGHT, MAX_CLICK_LOG_RATIO = 1.5, 6.0
+"""Weight of the log ratio of colours, and its largest absolute value."""
+N_CLICK_ITERATIONS = 3
 
 
 def keyframe_label_maps(
     labels: Labels, image: Images, hand: Hands = lambda _: None
 ) -> dict[int, UInt8[ndarray, "H W"]]:
-    """Return ``labels.label_maps``, those with strokes completed by what the image shows."""
+    """Return the label maps of key frames, ``labels.label_maps`` with strokes and clicks completed from the images."""
     maps = labels.label_maps()
     for n in maps:
         frame = labels.frames[n]
@@ -98,7 +76,7 @@ def keyframe_label_maps(
 def _click_motion(
     labels: Labels, n: int, image: Images, hand: Bool[ndarray, "h w"] | None
 ) -> Float32[ndarray, "H W"] | None:
-    """Return what moves with the clicks on a frame; None where polygons or longer strokes say more."""
+    """Return the log ratio of moving with the clicks on a frame; None where polygons or longer strokes are drawn."""
     frame, shape = labels.frames[n], labels.size[::-1]
     on = _rasterize_strokes(frame.on or (), shape)
     if frame.object or not on.any() or max(map(np.ptp, np.nonzero(on))) >= MAX_CLICK_EXTENT * min(shape):
@@ -114,7 +92,7 @@ def apply_strokes(
     hand: Bool[ndarray, "h w"] | None = None,
     motion: Float32[ndarray, "H W"] | None = None,
 ) -> UInt8[ndarray, "H W"]:
-    """Return a frame's label map, ``drawn`` so far by polygons, after its strokes; ``motion``: see ``click_motion``."""
+    """Return a frame's label map, ``drawn`` by polygons, after its strokes; ``motion``: ``click_motion_log_ratio``."""
     import cv2
 
     shape = drawn.shape
@@ -123,14 +101,12 @@ def apply_strokes(
     no_object = off | ((drawn != 0) & (drawn != OBJECT_LABEL)) | (seen & (drawn != OBJECT_LABEL))
     start = None
     if (drawn == OBJECT_LABEL).any():
-        near = cv2.distanceTransform((~(on | off)).astype(np.uint8), cv2.DIST_L2, 3) < CORRECTION_RADIUS_FRACTION * min(
-            shape
-        )
+        distance = cv2.distanceTransform((~(on | off)).astype(np.uint8), cv2.DIST_L2, 3)
+        near = distance < CORRECTION_RADIUS_FRACTION * min(shape)
         start = np.where(drawn == OBJECT_LABEL, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
         start[~near & (drawn == OBJECT_LABEL)], start[~near & (drawn != OBJECT_LABEL)] = cv2.GC_FGD, cv2.GC_BGD
-    found = segment_region(
-        image, on, no_object & ~on, start, bounding_slices(on | (drawn == OBJECT_LABEL), shape), motion
-    )
+    part = bounding_slices(on | (drawn == OBJECT_LABEL), shape)
+    found = segment_region(image, on, no_object & ~on, start, part, motion)
     out = np.where(drawn == OBJECT_LABEL, 0, drawn).astype(np.uint8)
     out[found] = OBJECT_LABEL
     out[off & (out == OBJECT_LABEL)], out[on] = 0, OBJECT_LABEL
@@ -150,6 +126,7 @@ def _rasterize_strokes(strokes: Sequence[Float[ndarray, "_ 2"]], shape: tuple[in
 
 
 def resize_mask(mask: Bool[ndarray, "h w"], shape: tuple[int, ...]) -> Bool[ndarray, "H W"]:
+    """Resize a mask to a shape (height, width), by linear interpolation."""
     import cv2
 
     return np.asarray(cv2.resize(mask.astype(np.float32), shape[1::-1], interpolation=cv2.INTER_LINEAR) > 0.5)
@@ -158,17 +135,14 @@ def resize_mask(mask: Bool[ndarray, "h w"], shape: tuple[int, ...]) -> Bool[ndar
 def bounding_slices(
     mask: Bool[ndarray, "H W"], shape: tuple[int, ...], margin: float | None = None
 ) -> tuple[slice, slice]:
-    """Return rows and columns around the marked pixels; all if none is marked."""
+    """Return rows and columns around a mask's pixels, by a ``margin`` [px] or the object's reach; all if none."""
     if not mask.any():
         return slice(0, shape[0]), slice(0, shape[1])
     short, marked = min(shape[:2]), np.nonzero(mask)
     if margin is None:
-        extent = max(float(np.ptp(i)) for i in marked)
-        margin = (
-            MAX_OBJECT_REACH * short
-            if extent < MAX_CLICK_EXTENT * short
-            else min(max(extent, MIN_OBJECT_REACH * short), MAX_OBJECT_REACH * short)
-        )
+        extent, margin = max(float(np.ptp(i)) for i in marked), MAX_OBJECT_REACH * short
+        if extent >= MAX_CLICK_EXTENT * short:
+            margin = min(max(extent, MIN_OBJECT_REACH * short), margin)
     rows, columns = (
         slice(max(0, int(i.min() - margin)), min(length, int(i.max() + margin) + 1))
         for i, length in zip(marked, shape, strict=False)
@@ -185,9 +159,10 @@ def segment_region(
     motion: Float32[ndarray, "H W"] | None = None,
     hand: Bool[ndarray, "H W"] | None = None,
 ) -> Bool[ndarray, "H W"]:
-    """Return what is found in a part of the image: by motion, if that is known, else by GrabCut.
+    """Segment the object in a ``part`` of the image: by ``motion`` where it is known, else by GrabCut.
 
-    GrabCut begins with its labels or, without any, with the strokes' colours. Parts count as one across the ``hand``.
+    ``on`` pixels are the object's, ``off`` pixels never. GrabCut starts from the labels ``start`` or, without, from the
+    colours of ``on``. Components that only the ``hand`` separates count as one.
     """
     import cv2
 
@@ -206,9 +181,8 @@ def segment_region(
         labels = None if start is None else cv2.resize(start[part], size, interpolation=cv2.INTER_NEAREST)
         found = _grabcut(small, labels, sure, never)
     else:
-        found = segment_by_click_motion(
-            small, cv2.resize(motion[part], size, interpolation=cv2.INTER_AREA), sure, never
-        )
+        reduced = cv2.resize(motion[part], size, interpolation=cv2.INTER_AREA)
+        found = segment_by_click_motion(small, reduced, sure, never)
     across = np.zeros(found.shape, np.uint8) if hand is None else cv2.resize(hand[part].astype(np.uint8), size)
     touched = hand is None and (found & sure).any()
     found = overlapping_components(found, sure) if touched else _largest_component(found, across)
@@ -223,7 +197,7 @@ def _grabcut(
     sure: Bool[ndarray, "h w"],
     never: Bool[ndarray, "h w"],
 ) -> Bool[ndarray, "h w"]:
-    """Return what GrabCut finds; without labels it begins with the colours of what is sure."""
+    """Run GrabCut; without labels it starts from the colours of the ``sure`` pixels."""
     import cv2
 
     if labels is None:
@@ -245,7 +219,7 @@ def _grabcut(
 
 
 def _largest_component(mask: Bool[ndarray, "h w"], hand: UInt8[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
-    """Return the largest part of a mask; pieces that only the hand separates are one."""
+    """Return the largest component of a mask; pieces that only the hand separates are one."""
     import cv2
 
     if not mask.any():
@@ -253,3 +227,74 @@ def _largest_component(mask: Bool[ndarray, "h w"], hand: UInt8[ndarray, "h w"]) 
     between = cv2.dilate(hand, np.ones((3, 3), np.uint8)) > 0
     _, parts = cv2.connectedComponents((mask | between).astype(np.uint8))
     return np.asarray(mask & (parts == np.bincount(parts[mask]).argmax()))
+
+
+def click_motion_log_ratio(
+    images: Images, frame: int, interval: tuple[int, int], click: Bool[ndarray, "H W"], hand: Bool[ndarray, "H W"]
+) -> Float32[ndarray, "H W"] | None:
+    """Return the log ratio of the probabilities that a pixel moves with the click, or with the surroundings.
+
+    Positive values are relative to the click's own, so that it is 1 there. None where the click has not moved in the
+    frames of the ``interval``, ends included.
+    """
+    import cv2
+
+    def small(image: ndarray) -> ndarray:
+        return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+    shape = click.shape
+    size = tuple(max(16, round(length * min(1.0, CLICK_MOTION_IMAGE_PX / max(shape)))) for length in shape[::-1])
+    away = cv2.distanceTransform((small(click.astype(np.float32)) == 0).astype(np.uint8), cv2.DIST_L2, 3) / min(size)
+    held = small(hand.astype(np.float32)) > 0.5
+    square = np.ones((CLICK_HAND_DILATION_PX, CLICK_HAND_DILATION_PX), np.uint8)
+    here = away < CLICK_RADIUS_FRACTION
+    surroundings = (away > MIN_SURROUNDINGS_DISTANCE) & (cv2.dilate(held.astype(np.uint8), square) == 0)
+    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in size))
+    now, total = small(images(frame)), np.zeros(size[::-1], np.float32)
+    for other in (frame + step for step in COMPARED_FRAME_OFFSETS if interval[0] <= frame + step <= interval[1]):
+        then = small(images(other))
+        back = optical_flow(now, then)
+        came = x + back[..., 0], y + back[..., 1]
+        off = squared_flow_error(optical_flow(then, now), back, came)
+        own, ground = (
+            fit_object_motion(x, y, came, each & (off < FLOW_CONSISTENCY_PX**2)) for each in (here | held, surroundings)
+        )
+        if own is None or ground is None:
+            continue
+        apart, still = (np.square(came[0] - each[0]) + np.square(came[1] - each[1]) for each in (own, ground))
+        noise = 1.0 + float(np.median(still[surroundings]))
+        ratio = np.log1p(still / noise) - np.minimum(np.log1p(apart / FLOW_SIGMA_PX**2), INDEPENDENT_MOTION_LOG_RATIO)
+        ratio = cv2.GaussianBlur((ratio / (1.0 + off / FLOW_SIGMA_PX**2)).astype(np.float32), (0, 0), 2.0)
+        if np.median(ratio[here]) > 0.0:
+            total += ratio
+    at_click = float(np.median(total[here])) if here.any() else 0.0
+    if at_click < MIN_CLICK_EVIDENCE:
+        return None
+    whole = cv2.resize(total, shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.asarray(np.where(whole > 0.0, whole / at_click, whole), np.float32)
+
+
+def segment_by_click_motion(
+    image: UInt8[ndarray, "h w 3"],
+    motion: Float32[ndarray, "h w"],
+    sure: Bool[ndarray, "h w"],
+    never: Bool[ndarray, "h w"],
+) -> Bool[ndarray, "h w"]:
+    """Segment the object by its motion (``click_motion_log_ratio``), and by the colours of the moving pixels.
+
+    Motion remains evidence when colours are counted again, so a part in another colour is not lost.
+    """
+    at, edge = colour_bins(image), edge_cost(image)
+    moved = np.clip((motion - MOTION_DEAD_ZONE) / (2.0 * MOTION_DEAD_ZONE), *MOTION_EVIDENCE_RANGE)
+    found, known = ((motion > MOVING_LOG_RATIO_THRESHOLD) & ~never) | sure, np.zeros_like(sure)
+    known[[0, -1]] = known[:, [0, -1]] = True
+    known |= found | never | (motion < STATIC_LOG_RATIO_THRESHOLD)
+    for _ in range(N_CLICK_ITERATIONS):
+        colours = CLICK_COLOUR_WEIGHT * colour_log_ratio(at, ColourHistogram.of(image, found, known))
+        evidence = np.clip(colours, -MAX_CLICK_LOG_RATIO, MAX_CLICK_LOG_RATIO) + moved
+        evidence[never] = -MAX_CLICK_LOG_RATIO
+        evidence[sure] = MAX_CLICK_LOG_RATIO
+        object_ = evidence.astype(np.float32)
+        found = minimal_cut(-object_, edge, (object_ > 0.0).astype(np.float32))
+        known = np.ones_like(sure)
+    return found

@@ -1,4 +1,4 @@
-"""Files of what has been marked and labelled: each person's lists, their agreement, and what clips are made of."""
+"""Write the files of a project: each annotator's marks, their agreement, and the inputs of clips."""
 
 from __future__ import annotations
 
@@ -11,20 +11,18 @@ from typing import TYPE_CHECKING
 from getagrip.errors import GetagripError
 from getagrip.io import files
 from getagrip.io.terminal import format_count, print_note, progress_bar
-from getagrip.studio.jobs import CLIPS_FOLDER, BackgroundJob, RequestedMesh, result_folder
+from getagrip.studio.jobs import CLIPS_FOLDER, BackgroundJob, CommandCall, RequestedMesh, RunCall, result_folder
 from getagrip.studio.project import Project
 from getagrip.studio.store import marks
 from getagrip.studio.store.history import RefusedError
-from getagrip.studio.store.marks import GRASP_STATE, Agreement, Mark, pairwise_agreements
+from getagrip.studio.store.marks import GRASP_STATE, Agreement, Grasp, Mark, pairwise_agreements
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from getagrip.studio.store.marks import Grasp
-
 
 def write_labelled_grasps(project: Project) -> int:
-    """Write each labelled grasp's labels and, where they suffice, hand and masks; 1 where one could not be made."""
+    """Write each labelled grasp's labels and, where they suffice, hand and masks; return 1 if any failed, else 0."""
     status = 0
     written: set[str] = set()
     for grasp in project.labelled():
@@ -45,13 +43,13 @@ def write_labelled_grasps(project: Project) -> int:
     return status
 
 
-def reconstruct_labelled_grasps(project: Project, grasps: Sequence[Grasp], shape: RequestedMesh) -> int:
-    """Write the files of labelled grasps, and reconstruct each; 1 where that failed of one, or there is none."""
+def reconstruct_labelled_grasps(project: Project, grasps: Sequence[Grasp], shape: RequestedMesh, run: RunCall) -> int:
+    """Write the files of labelled grasps, and reconstruct each by ``run``; return 1 if any failed or none, else 0."""
     if not grasps:
         print_note("no mask is in the frames with a hand: nothing is reconstructed")
     status, out = int(not grasps), project.labelling.out
     for grasp in grasps:
-        said = _run_with_progress_bar(grasp.name, partial(project.labelling.solve, grasp, shape))
+        said = _run_with_progress_bar(grasp.name, partial(project.labelling.solve, grasp, shape), run=run)
         if said is None:
             status = 1
             continue
@@ -60,22 +58,27 @@ def reconstruct_labelled_grasps(project: Project, grasps: Sequence[Grasp], shape
     return status
 
 
-def _run_with_progress_bar(name: str, work: Callable[[BackgroundJob], str], prefix: str = "") -> str | None:
-    """Work on a grasp and show a bar. Returns the outcome in words, None after an error, which is reported."""
+def _run_with_progress_bar(
+    name: str, work: Callable[[BackgroundJob], str], prefix: str = "", run: RunCall | None = None
+) -> str | None:
+    """Run a job of a grasp with a progress bar. Returns its outcome as text, None after an error, which is printed."""
     try:
         with progress_bar(counted=True) as bar:
-            return work(JobOnBar(bar, name))
+            return work(JobOnBar(bar, name, run))
     except GetagripError as error:
         print_note(f"{name}: {prefix}{error}")
         return None
 
 
 class JobOnBar(BackgroundJob):
-    """Work that a bar shows."""
+    """A job with a progress bar; ``run`` runs its commands, if given."""
 
-    def __init__(self, bar: Progress, name: str) -> None:
+    def __init__(self, bar: Progress, name: str, run: RunCall | None = None) -> None:
         super().__init__("files")
-        self._bar, self._name, self._task = bar, name, bar.add_task(name, total=None)
+        self._bar, self._name, self._task, self._run = bar, name, bar.add_task(name, total=None), run
+
+    def run(self, call: CommandCall) -> str:
+        return super().run(call) if self._run is None else self._run(call)
 
     def report(self, done: int, total: int) -> None:
         description = ": ".join(filter(None, (self._name, self.message)))
@@ -83,10 +86,10 @@ class JobOnBar(BackgroundJob):
 
 
 def write_mark_files(project: Project, out: Path) -> int:
-    """Write ``grasps-<annotator>.csv`` and ``.json`` for each person, ``discards.csv`` and ``agreement.json``.
+    """Write ``grasps-<annotator>.csv`` and ``.json`` for each annotator, ``discards.csv`` and ``agreement.json``.
 
-    Of whole interactions also ``segments-<annotator>.json``. Returns 1 where segments overlap or a finished grasp is of
-    neither hand, else 0.
+    Whole interactions are written to ``segments-<annotator>.json``. Returns 1 if segments overlap or a finished grasp
+    has no side, else 0.
     """
     known, status = project.known(), 0
     others = len(project.store.marks.standing()) - len(known)
@@ -115,7 +118,7 @@ def write_mark_files(project: Project, out: Path) -> int:
 
 
 def unlisted_grasps_message(unfinished: Sequence[Mark]) -> str:
-    """Say what grasps lack to be in the list."""
+    """Return the advice on unfinished grasps: what each lacks for the list."""
     lacks = {
         "mark the end": any(mark.end is None for mark in unfinished),
         "state the hand": any(not mark.side for mark in unfinished),
@@ -127,7 +130,7 @@ def unlisted_grasps_message(unfinished: Sequence[Mark]) -> str:
 
 
 def write_interaction_segments(project: Project, out: Path, annotator: str) -> int:
-    """Write ``segments-<annotator>.json`` of whole interactions; 1 where segments of one overlap, else 0."""
+    """Write ``segments-<annotator>.json`` of whole interactions; return 1 if segments overlap, else 0."""
     listed, status = {}, 0
     for one in project.interactions(annotator):
         try:
@@ -144,7 +147,7 @@ def write_interaction_segments(project: Project, out: Path, annotator: str) -> i
 
 
 def agreement_message(one: Agreement) -> str:
-    """Write the agreement of two people in a line."""
+    """Return the agreement of two annotators as one line of text."""
     reached = "no grasps to compare"
     if one.iou is not None:
         reached = f"mean temporal IOU {100 * one.iou:.1f} % of {format_count(one.grasps, 'grasp')}"

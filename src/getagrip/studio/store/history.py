@@ -1,8 +1,8 @@
-"""States with all their versions: a change adds one, and none is ever overwritten or removed.
+"""Versioned states in SQLite: each change adds a version, and no version is overwritten or removed.
 
-The newest version is the state. A change names what a person has touched and is laid over the newest version, so two
-tabs that change one thing lose nothing unless they touch the same part of it; then the later one counts and the earlier
-one is in the history.
+The newest version is the state. A change names only the fields that it sets, and is applied to the newest version: two
+tabs may change different fields of one state; of two changes of the same field the later one counts, and the earlier
+one stays in the history.
 """
 
 from __future__ import annotations
@@ -23,14 +23,12 @@ from getagrip.io.files import Json, is_portable_name, shorten_value
 
 TOKEN_PATTERN = re.compile(r"[A-Za-z0-9-]{8,64}")
 """Form of the page's names of marks, changes and tabs."""
-
-
 Row = tuple[Any, ...]
-"""Row of a database: SQLite keeps any kind of value in any column."""
+"""Row of a database: SQLite stores values of any type in any column."""
 
 
 class RefusedError(GetagripError):
-    """A change that cannot be made. The message is for the person who made it."""
+    """A change that cannot be made. The message is for the annotator."""
 
 
 class VersionedState(Protocol):
@@ -39,16 +37,11 @@ class VersionedState(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Field[object]]]
 
     @property
-    def task(self) -> str:
-        """The task it belongs to."""
-
+    def task(self) -> str: ...
     @property
-    def annotator(self) -> str:
-        """Whose it is."""
-
+    def annotator(self) -> str: ...
     @property
-    def deleted(self) -> bool:
-        """True if it is deleted."""
+    def deleted(self) -> bool: ...
 
 
 Kind = TypeVar("Kind", bound=VersionedState)
@@ -56,12 +49,14 @@ Kind = TypeVar("Kind", bound=VersionedState)
 
 @dataclass(frozen=True)
 class Change:
-    """A change of a state: only what a person has touched, so that two tabs can change the same one."""
+    """A change of some fields of a state, so that two tabs can change the same one."""
 
     change: str
-    """Unlike any other: the page sends a change again where it saw no answer."""
+    """Unique name: the page sends a change again until it is answered."""
     tab: str
+    """The browser tab that made the change."""
     sets: Json
+    """New values of fields."""
 
 
 class VersionDatabase:
@@ -80,7 +75,7 @@ class VersionDatabase:
             raise self.damaged(error) from error
 
     def damaged(self, error: Exception) -> InputError:
-        """Make the error for contents that this program does not write."""
+        """Return the error for contents that this program does not write."""
         got = f"{type(error).__name__}: {error}"
         return InputError(self.path, "", f"contents that are damaged ({got})", "what this program writes")
 
@@ -99,25 +94,26 @@ class VersionDatabase:
 
 @dataclass(frozen=True)
 class Versions(Generic[Kind]):
-    """The versions of one kind of states, in a table and in a view of those that stand."""
+    """The versions of one kind of states, in a table, and a view of the current states."""
 
     database: VersionDatabase
     table: str
     view: str
+    """Newest versions of the states that are not deleted."""
     key: str
-    """Column of the key: states with the same value are versions of one thing."""
+    """Key column: rows with the same value are versions of one state."""
     scope: str
-    """Column of what is undone together, and asked for together."""
+    """Column of the scope within which changes are undone, and states are queried."""
     order: str
-    """Columns that states are sorted by."""
+    """Columns by which states are sorted."""
     columns: tuple[str, ...]
     row: Callable[[Kind], Row]
-    """The columns of a state."""
+    """Convert a state to its columns."""
     state: Callable[[Row], Kind]
     """Convert a row to a state."""
 
     def standing(self, scope: str | None = None, annotator: str | None = None) -> list[Kind]:
-        """Return the states that stand, in order; of one scope or annotator where named."""
+        """Return the current states, in order, of one scope or annotator where named. Raises ``InputError``."""
         rows = self.database.rows(
             f"SELECT {', '.join(self.columns)} FROM {self.view} WHERE (?1 IS NULL OR {self.scope} = ?1) "
             f"AND (?2 IS NULL OR annotator = ?2) ORDER BY {self.order}",
@@ -131,7 +127,7 @@ class Versions(Generic[Kind]):
         return int(self.database.rows(query, (scope, annotator))[0][0])
 
     def times(self, scope: str, annotator: str) -> list[datetime]:
-        """Return when an annotator changed states of a scope, the first change first."""
+        """Return the times of an annotator's changes within a scope, the oldest first. Raises ``InputError``."""
         query = f"SELECT at FROM {self.table} WHERE {self.scope} = ? AND annotator = ? ORDER BY seq"
         try:
             return [datetime.fromisoformat(at) for (at,) in self.database.rows(query, (scope, annotator))]
@@ -144,9 +140,10 @@ class Versions(Generic[Kind]):
         return [self._state(row) for row in self.database.rows(query, (key,))]
 
     def apply(self, change: Change, blank: Kind, complete: Callable[[Kind, Json], Kind]) -> Kind:
-        """Make a change, once, however often it is sent: of the newest version, or of ``blank`` where there is none.
+        """Make a change of the newest version, or of ``blank`` without versions; a repeated change has no effect.
 
-        Raises ``RefusedError``, as ``complete`` may, and then nothing is changed.
+        ``complete`` returns the new state from the old one and the new values. Raises ``RefusedError``, as ``complete``
+        may, without a change.
         """
         with self.database.transaction() as db:
             key = getattr(blank, self.key)
@@ -162,13 +159,13 @@ class Versions(Generic[Kind]):
             return new
 
     def undo(self, scope: str, annotator: str, tab: str, change: str) -> Kind | None:
-        """Take back a tab's last change within a scope; the state as it is then, or None where nothing is left.
+        """Undo a tab's last change within a scope; return the state after it, or None without a change to undo.
 
-        Raises ``RefusedError`` where it was changed elsewhere since: that is not undone from here.
+        Raises ``RefusedError`` where another tab has changed the state since.
         """
         with self.database.transaction() as db:
             if db.execute(f"SELECT 1 FROM {self.table} WHERE change = ?", (change,)).fetchone():
-                return None  # sent again
+                return None  # a repeated request
             last = db.execute(
                 f"SELECT seq, {self.key} FROM {self.table} AS v WHERE {self.scope} = ? AND annotator = ? AND tab = ? "
                 f"AND undoes IS NULL AND NOT EXISTS (SELECT 1 FROM {self.table} WHERE undoes = v.seq) "
@@ -182,7 +179,7 @@ class Versions(Generic[Kind]):
             if db.execute(later, (key, seq, tab)).fetchone():
                 raise RefusedError(f"not undone: this {self.key} was changed in another tab since")
             old = self._latest(db, key, seq)
-            if old is None:  # it was made by that change
+            if old is None:  # that change made the state
                 now = self._latest(db, key)
                 assert now is not None
                 old = replace(now, deleted=True)
@@ -199,10 +196,7 @@ class Versions(Generic[Kind]):
         return None if row is None else self._state(row)
 
     def _state(self, row: Row) -> Kind:
-        """Convert a row to a state.
-
-        Raises ``InputError`` for values that no state has: SQLite keeps any in any column.
-        """
+        """Convert a row to a state. Raises ``InputError`` for values of a wrong type or form."""
         try:
             state = self.state(row)
             check_annotator(state.annotator)
@@ -224,7 +218,7 @@ class Versions(Generic[Kind]):
 
 
 def read_change(content: Mapping[str, object], settable: frozenset[str]) -> Change:
-    """Parse a change as the page sends it; its values are yet to be checked. Raises ``RefusedError``."""
+    """Parse a change in a request; its values are not checked. Raises ``RefusedError``."""
     sets = content.get("set")
     if not isinstance(sets, dict) or not sets or not sets.keys() <= settable:
         raise RefusedError(f"set must be some of {', '.join(sorted(settable))} (got {shorten_value(sets)})")
@@ -232,7 +226,7 @@ def read_change(content: Mapping[str, object], settable: frozenset[str]) -> Chan
 
 
 def parse_token(content: Mapping[str, object], key: str) -> str:
-    """Parse the page's name of something. Raises ``RefusedError``."""
+    """Parse a name made by the page, such as a change's. Raises ``RefusedError``."""
     value = content.get(key)
     if not isinstance(value, str) or not TOKEN_PATTERN.fullmatch(value):
         raise RefusedError(f"{key} must be 8 to 64 letters, digits or hyphens (got {shorten_value(value)})")
@@ -240,9 +234,8 @@ def parse_token(content: Mapping[str, object], key: str) -> str:
 
 
 def check_annotator(name: object) -> str:
-    """Check the name of a person, which also names files. Raises ``RefusedError``."""
+    """Check an annotator's name, which also names files. Raises ``RefusedError``."""
     if not isinstance(name, str) or not is_portable_name(name) or len(name) > 60:
-        raise RefusedError(
-            f"annotator must be a name of up to 60 letters, without / and \\ (got {shorten_value(name)})"
-        )
+        needs = "annotator must be a name of up to 60 letters, without / and \\"
+        raise RefusedError(f"{needs} (got {shorten_value(name)})")
     return name

@@ -1,6 +1,6 @@
-"""Labels that a person has clicked on some frames: the joints of the hand, the object, what is in front of it.
+"""Labels of a grasp's frames: joints of the hand, polygons and strokes; as files, and as key frames in the database.
 
-As JSON, one file for one grasp:
+A label file is JSON, one file for one grasp:
 
     {"video": "kitchen.mp4", "sha256": "9f86d0...", "size": [1920, 1080], "side": "left", "fps": 30.0,
      "first": 57, "last": 112,
@@ -8,24 +8,19 @@ As JSON, one file for one grasp:
 
 Frames are counted from 0, first and last included; points are in pixels of the footage, the middle of its first pixel
 at (0.5, 0.5). ``joints`` are 21, wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip, null
-where not clicked. ``object`` are polygons around the visible parts of the object, ``front`` around whatever hides it
-besides the hand that holds it, ``hand`` around the visible hand; where they overlap, the last of these counts. ``on``
-and ``off`` are strokes, lines or single points that lie on the object or beside it (``strokes``). A frame may have any
-of these. A missing key means that there is no label, an empty list of polygons that nothing of it is visible.
-``sha256``, the footage's checksum (``labelled_footage``), is optional.
+where not clicked. ``object`` are polygons around the visible parts of the object, ``front`` around its occluders except
+the hand, ``hand`` around the visible hand; where they overlap, the last kind counts. ``on`` and ``off`` are strokes,
+lines or single points on the object or beside it (``stroke_prompt``). All keys of a frame are optional. A missing key
+means no label, an empty list of polygons that no part is visible. ``sha256``, the footage's checksum, is optional.
 
-A key frame: what one person has clicked on one frame of a grasp, the joints of the hand and polygons.
-
-A change names the joints and polygons (``outlines``) that it touches; null takes one away:
+A key frame holds one annotator's labels of one frame of a grasp. A change of it names the joints and polygons
+(``outlines``) that it sets; null removes one:
 
     {"joints": {"4": [x, y], "5": "unseen", "6": null},
      "outlines": {"<its name>": {"of": "object", "closed": true, "points": [[x, y], ...]}},
      "hidden": false, "deleted": false}
 
-An outline is "of" the object, of what is in "front" or of the "hand"; or it is a stroke "on" the object or "off" it,
-which is always closed, that is done.
-
-Points are in pixels of the footage, the middle of its first pixel at (0.5, 0.5).
+The kind of an outline ("of") is a key of a label file's frame; strokes are always closed.
 """
 
 from __future__ import annotations
@@ -33,10 +28,10 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -52,12 +47,12 @@ from getagrip.readers.masks.mask_regions import fill_polygons
 from getagrip.studio.store.history import TOKEN_PATTERN, RefusedError, Row, VersionDatabase, Versions
 
 OBJECT_LABEL, OCCLUDER_LABEL, HAND_LABEL = 1, 2, 3
-"""Values of a label map; 0 is everything else."""
+"""Values of a label map; other pixels are 0."""
 MAX_FRAME_INDEX = 10**7
 MIN_SHAPE_POINTS = {"object": 3, "front": 3, "hand": 3, "on": 1, "off": 1}
-"""Kinds of polygons, then of strokes, and how many points such a shape has at least."""
+"""Kinds of polygons, then of strokes, and the minimum number of points of each."""
 MAX_POLYGONS_PER_KIND, MAX_LABEL_POLYGON_CORNERS = 100, 5000
-"""Most polygons of one frame and kind; most corners of one polygon."""
+"""Maximum number of polygons of one frame and kind, and of corners of one polygon."""
 
 Polygons = tuple[Float[ndarray, "_ 2"], ...]
 
@@ -70,11 +65,12 @@ class FrameLabels:
     """NaN where not clicked [px]."""
     object: Polygons | None = None
     front: Polygons | None = None
+    """Polygons around occluders."""
     hand: Polygons | None = None
     on: Polygons | None = None
     """Strokes on the object."""
     off: Polygons | None = None
-    """Strokes beside it."""
+    """Strokes beside the object."""
 
 
 @dataclass(frozen=True)
@@ -95,20 +91,19 @@ class Labels:
 
     @property
     def clicks(self) -> dict[int, Float[ndarray, "21 2"]]:
-        """The joints, where there are any: rising frames."""
+        """Joints by frame, in order of frames, where any are clicked."""
         return {n: frame.joints for n, frame in sorted(self.frames.items()) if frame.joints is not None}
 
     @property
     def drawn(self) -> list[int]:
-        """Frames on which the object has polygons or strokes, or is marked as not visible: rising."""
+        """Frames on which the object has polygons or strokes, or is marked as not visible, in order."""
         return [n for n, frame in sorted(self.frames.items()) if frame.object is not None or frame.on]
 
     def label_maps(self) -> dict[int, UInt8[ndarray, "H W"]]:
-        """Make label maps with 0, ``OBJECT_LABEL``, ``OCCLUDER_LABEL`` or ``HAND_LABEL`` from polygons.
+        """Make label maps from polygons, of the frames ``drawn``.
 
-        ``strokes.key_masks`` uses strokes, too.
-
-        Of the frames ``drawn``.
+        Values are 0, ``OBJECT_LABEL``, ``OCCLUDER_LABEL`` or ``HAND_LABEL``. ``stroke_prompt.keyframe_label_maps`` uses
+        strokes, too.
         """
         return {n: _render_label_map(self.frames[n], self.size) for n in self.drawn}
 
@@ -127,18 +122,18 @@ def read_label_file(path: str | Path) -> Labels:
 
 
 def write_label_file(labels: Labels, path: str | Path) -> None:
-    """Write labels to a file, a line for each frame, whole or not at all."""
+    """Write labels to a file, one line per frame, whole or not at all."""
     fields = labels_to_json(labels)
     frames = ",\n".join(f"  {json.dumps(n)}: {json.dumps(frame)}" for n, frame in fields.pop("frames").items())
     files.write_bytes(Path(path), f'{json.dumps(fields)[:-1]}, "frames": {{\n{frames}\n}}}}\n'.encode())
 
 
 def labels_to_json(labels: Labels) -> files.Json:
-    """Write labels as the file has them."""
+    """Convert labels to the JSON of a label file."""
     fields = {key: getattr(labels, key) for key in ("video", "side", "fps", "first", "last")}
     frames = {str(n): _frame_to_json(frame) for n, frame in sorted(labels.frames.items())}
-    whole = {"sha256": labels.sha256} if labels.sha256 else {}
-    return fields | whole | {"size": list(labels.size), "frames": frames}
+    checksum = {"sha256": labels.sha256} if labels.sha256 else {}
+    return fields | checksum | {"size": list(labels.size), "frames": frames}
 
 
 def _frame_to_json(frame: FrameLabels) -> dict[str, object]:
@@ -153,101 +148,67 @@ def _frame_to_json(frame: FrameLabels) -> dict[str, object]:
 
 
 def _round_point(point: Float[ndarray, "2"]) -> list[float]:
-    """Round to a hundredth of a pixel, more than anybody can click."""
+    """Round to a hundredth of a pixel, finer than a click."""
     return [round(float(x), 2) for x in point]
 
 
 def parse_labels(content: files.Json, source: str | Path) -> Labels:
-    """Parse labels from JSON, everything checked. Raises ``InputError`` in the name of ``source``."""
-    checked = _LabelParser(Path(source), content)
-    size = checked.size()
-    first = checked.whole("first", 0, MAX_FRAME_INDEX)
-    last = checked.whole("last", first, MAX_FRAME_INDEX)
+    """Parse and check the JSON of a label file. Raises ``InputError`` about the file ``source``."""
+    path = Path(source)
+    needed = {"video", "size", "side", "fps", "first", "last", "frames"}
+    _check_label_keys(path, "", content, {*needed, "sha256"}, needed)
+
+    def check(key: str, fine: bool, expected: str) -> None:
+        if not fine:
+            raise InputError(path, key, shorten_value(content[key]), expected)
+
+    size, first, last, rate = (content[key] for key in ("size", "first", "last", "fps"))
+    most = f"at most {MAX_CLIP_IMAGE_PIXELS / 1e6:g} million in all"
+    check("size", _is_image_size(size), f"width and height in pixels, {most}")
+    for key, value, least in (("first", first, 0), ("last", last, first)):
+        fine = type(value) is int and least <= value <= MAX_FRAME_INDEX
+        check(key, fine, f"a whole number from {least} to {MAX_FRAME_INDEX}")
+    check("video", _is_file_name(content["video"]), "the name of a file, without folders")
+    check("side", content["side"] in get_args(Side), "left or right")
+    check("fps", _is_finite_number(rate) and 0.1 <= rate <= 10_000, "frames per second, 0.1 to 10000")
+    check("frames", isinstance(content["frames"], Mapping), "an object with a key for each frame")
+    frames = _parse_frames(path, content["frames"], (first, last), (size[0], size[1]))
+    checksum = content.get("sha256", "")
+    fine = isinstance(checksum, str) and re.fullmatch(r"([0-9a-f]{64})?", checksum) is not None
+    check("sha256", fine, "64 hexadecimal digits, as sha256sum prints them")
     return Labels(
-        video=checked.name("video"),
-        size=size,
-        side=checked.side(),
-        fps=checked.rate(),
-        first=first,
-        last=last,
-        frames=checked.frames(first, last, size),
-        sha256=checked.checksum("sha256"),
+        content["video"], (size[0], size[1]), content["side"], float(rate), first, last, frames, sha256=checksum
     )
 
 
-@dataclass(frozen=True)
-class _LabelParser:
-    """A reader of one JSON object."""
+def _is_file_name(value: object) -> bool:
+    return isinstance(value, str) and files.is_portable_name(value)
 
-    path: Path
-    content: files.Json
 
-    def __post_init__(self) -> None:
-        needed = {"video", "size", "side", "fps", "first", "last", "frames"}
-        _check_label_keys(self.path, "", self.content, {*needed, "sha256"}, needed)
+def _is_image_size(value: object) -> bool:
+    if not isinstance(value, list | tuple) or len(value) != 2 or not all(type(n) is int and n > 0 for n in value):
+        return False
+    return max(value) <= MAX_CLIP_SIDE_PX and int(value[0] * value[1]) <= MAX_CLIP_IMAGE_PIXELS
 
-    def wrong(self, key: str, expected: str) -> InputError:
-        return InputError(self.path, key, files.shorten_value(self.content[key]), expected)
 
-    def name(self, key: str) -> str:
-        value = self.content[key]
-        if not isinstance(value, str) or not files.is_portable_name(value):
-            raise self.wrong(key, "the name of a file, without folders")
-        return value
-
-    def checksum(self, key: str) -> str:
-        value = self.content.get(key, "")
-        if not isinstance(value, str) or not re.fullmatch(r"([0-9a-f]{64})?", value):
-            raise self.wrong(key, "64 hexadecimal digits, as sha256sum prints them")
-        return value
-
-    def side(self) -> Side:
-        value: Literal["left", "right"] = self.content["side"]
-        if value not in get_args(Side):
-            raise self.wrong("side", "left or right")
-        return value
-
-    def rate(self) -> float:
-        value = self.content["fps"]
-        if not _is_finite_number(value) or not 0.1 <= value <= 10_000:
-            raise self.wrong("fps", "frames per second, 0.1 to 10000")
-        return float(value)
-
-    def whole(self, key: str, least: int, most: int) -> int:
-        value = self.content[key]
-        if type(value) is not int or not least <= value <= most:
-            raise self.wrong(key, f"a whole number from {least} to {most}")
-        return value
-
-    def size(self) -> tuple[int, int]:
-        value = self.content["size"]
-        pair = isinstance(value, list | tuple) and len(value) == 2 and all(type(n) is int and n > 0 for n in value)
-        if not pair or max(value) > MAX_CLIP_SIDE_PX or value[0] * value[1] > MAX_CLIP_IMAGE_PIXELS:
-            raise self.wrong(
-                "size", f"width and height in pixels, at most {MAX_CLIP_IMAGE_PIXELS / 1e6:g} million in all"
-            )
-        return value[0], value[1]
-
-    def frames(self, first: int, last: int, size: tuple[int, int]) -> dict[int, FrameLabels]:
-        value = self.content["frames"]
-        if not isinstance(value, Mapping):
-            raise self.wrong("frames", "an object with a key for each frame")
-        out = {}
-        for text, frame in value.items():
-            where = f"frames.{files.printable(text)}"
-            if not re.fullmatch(r"0|[1-9][0-9]{0,7}", text) or not first <= int(text) <= last:
-                raise InputError(self.path, where, "a key that is no frame of the grasp", f"{first} to {last}")
-            if not isinstance(frame, Mapping):
-                raise InputError(self.path, where, files.shorten_value(frame), "an object")
-            _check_label_keys(self.path, where, frame, {"joints", *MIN_SHAPE_POINTS}, set())
-            out[int(text)] = FrameLabels(
-                _parse_joints(self.path, f"{where}.joints", frame.get("joints"), size),
-                **{
-                    kind: _parse_polygons(self.path, f"{where}.{kind}", frame.get(kind), size, least)
-                    for kind, least in MIN_SHAPE_POINTS.items()
-                },
-            )
-        return dict(sorted(out.items()))
+def _parse_frames(
+    path: Path, content: Mapping[str, object], extent: tuple[int, int], size: tuple[int, int]
+) -> dict[int, FrameLabels]:
+    out = {}
+    for text, frame in content.items():
+        where = f"frames.{files.printable(text)}"
+        if not re.fullmatch(r"0|[1-9][0-9]{0,7}", text) or not extent[0] <= int(text) <= extent[1]:
+            raise InputError(path, where, "a key that is no frame of the grasp", f"{extent[0]} to {extent[1]}")
+        if not isinstance(frame, Mapping):
+            raise InputError(path, where, shorten_value(frame), "an object")
+        _check_label_keys(path, where, frame, {"joints", *MIN_SHAPE_POINTS}, set())
+        joints = _parse_joints(path, f"{where}.joints", frame.get("joints"), size)
+        shapes = {
+            kind: _parse_polygons(path, f"{where}.{kind}", frame.get(kind), size, least)
+            for kind, least in MIN_SHAPE_POINTS.items()
+        }
+        out[int(text)] = FrameLabels(joints, **shapes)
+    return dict(sorted(out.items()))
 
 
 def _check_label_keys(path: Path, where: str, value: Mapping[str, object], known: set[str], needed: set[str]) -> None:
@@ -263,7 +224,7 @@ def _parse_joints(path: Path, key: str, value: object, size: tuple[int, int]) ->
     if value is None:
         return None
     if not isinstance(value, list | tuple) or len(value) != 21:
-        raise InputError(path, key, files.shorten_value(value), "21 points, null where there is none")
+        raise InputError(path, key, shorten_value(value), "21 points, null where there is none")
     rows = [
         [math.nan, math.nan] if point is None else _parse_point(path, f"{key}[{n}]", point, size)
         for n, point in enumerate(value)
@@ -275,42 +236,38 @@ def _parse_polygons(path: Path, key: str, value: object, size: tuple[int, int], 
     if value is None:
         return None
     if not isinstance(value, list | tuple) or len(value) > MAX_POLYGONS_PER_KIND:
-        raise InputError(path, key, files.shorten_value(value), f"at most {MAX_POLYGONS_PER_KIND} shapes [[x, y], ...]")
+        raise InputError(path, key, shorten_value(value), f"at most {MAX_POLYGONS_PER_KIND} shapes [[x, y], ...]")
     out = []
     for n, corners in enumerate(value):
         if not isinstance(corners, list | tuple) or not least <= len(corners) <= MAX_LABEL_POLYGON_CORNERS:
-            raise InputError(
-                path,
-                f"{key}[{n}]",
-                files.shorten_value(corners),
-                f"{least} to {MAX_LABEL_POLYGON_CORNERS} corners [x, y]",
-            )
+            expected = f"{least} to {MAX_LABEL_POLYGON_CORNERS} corners [x, y]"
+            raise InputError(path, f"{key}[{n}]", shorten_value(corners), expected)
         out.append(np.array([_parse_point(path, f"{key}[{n}][{k}]", corner, size) for k, corner in enumerate(corners)]))
     return tuple(out)
 
 
 def _parse_point(path: Path, key: str, value: object, size: tuple[int, int]) -> list[float]:
-    """Parse a point in the image, or beside it by no more than the image's own size."""
+    """Parse a point in the image, or outside it by no more than the image's size."""
     pair = isinstance(value, list | tuple) and len(value) == 2 and all(_is_finite_number(x) for x in value)
     if not pair or not isinstance(value, list | tuple):
-        raise InputError(path, key, files.shorten_value(value), "[x, y] in pixels")
+        raise InputError(path, key, shorten_value(value), "[x, y] in pixels")
     if not all(-side <= x <= 2 * side for x, side in zip(value, size, strict=True)):
-        raise InputError(path, key, files.shorten_value(value), f"a point in or about the {size[0]} x {size[1]} image")
+        raise InputError(path, key, shorten_value(value), f"a point in or about the {size[0]} x {size[1]} image")
     return [float(x) for x in value]
 
 
 def _is_finite_number(value: object) -> bool:
-    """Return whether it is a finite number, and no truth value."""
+    """Return whether a value is a finite number, no bool."""
     return type(value) is int or (isinstance(value, float) and math.isfinite(value))
 
 
 KEYFRAME_SETTABLE_FIELDS = frozenset({"joints", "outlines", "hidden", "deleted"})
-"""Fields that the page may change."""
+"""Fields that a change may set."""
 UNSEEN_JOINT = "unseen"
-"""A joint that a person has looked for and not found, so that the next one is asked for."""
+"""Value of a joint that the annotator has skipped because it is not visible."""
 N_KEYFRAME_JOINTS = 21
 MAX_KEYFRAME_SIZE_PX = (MAX_FOOTAGE_SIDE_PX, MAX_FOOTAGE_SIDE_PX)
-"""Size for images whose size is not at hand."""
+"""Limit of image sizes, for points of images of unknown size."""
 KEYFRAMES_SCHEMA = """
 CREATE TABLE keyframe_versions (
     seq INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -334,16 +291,16 @@ class KeyFrame:
     """The state of a key frame."""
 
     keyframe: str
-    """``<grasp>:<frame>``: two tabs that begin the same one mean the same."""
+    """``<grasp>:<frame>``, the same for all tabs."""
     task: str
     annotator: str
     grasp: str
-    """The mark that it belongs to."""
+    """Its mark."""
     frame: int
     joints: Json = field(default_factory=dict)
-    """By number, "0" to "20": a point, or ``UNSEEN_JOINT``."""
+    """Points by joint number, "0" to "20", or ``UNSEEN_JOINT``."""
     outlines: Json = field(default_factory=dict)
-    """Polygons by a name that the page chooses: ``of``, ``closed`` and ``points``."""
+    """Polygons by a name that the page makes: ``of``, ``closed`` and ``points``."""
     hidden: bool = False
     """The object is not visible."""
     deleted: bool = False
@@ -354,16 +311,14 @@ class KeyFrame:
         return tuple(np.array(points, dtype=float) for points in shapes)
 
     def labels(self) -> FrameLabels:
-        """Return its labels, as a file has them."""
+        """Return the labels of a label file."""
         shapes = {kind: self.polygons(kind) or None for kind in MIN_SHAPE_POINTS}
         if self.hidden and shapes["object"] is None:
             shapes["object"] = ()
-        clicked = any(point != UNSEEN_JOINT for point in self.joints.values())
-        return FrameLabels(self._joints() if clicked else None, **shapes)
-
-    def _joints(self) -> Float[ndarray, "21 2"]:
+        if all(point == UNSEEN_JOINT for point in self.joints.values()):
+            return FrameLabels(None, **shapes)
         points = [self.joints.get(str(n), UNSEEN_JOINT) for n in range(N_KEYFRAME_JOINTS)]
-        return np.array([[math.nan] * 2 if point == UNSEEN_JOINT else point for point in points])
+        return FrameLabels(np.array([[math.nan] * 2 if point == UNSEEN_JOINT else point for point in points]), **shapes)
 
 
 KEYFRAME_COLUMNS = tuple(one.name for one in fields(KeyFrame))
@@ -371,30 +326,19 @@ KEYFRAME_COLUMNS = tuple(one.name for one in fields(KeyFrame))
 
 def keyframe_versions(database: VersionDatabase) -> Versions[KeyFrame]:
     """Return the key frames in a database."""
-    order = "task, annotator, grasp, frame"
-    return Versions(
-        database,
-        "keyframe_versions",
-        "keyframes",
-        "keyframe",
-        "grasp",
-        order,
-        KEYFRAME_COLUMNS,
-        _keyframe_to_row,
-        _keyframe_from_row,
-    )
+    columns = "keyframe", "grasp", "task, annotator, grasp, frame", KEYFRAME_COLUMNS
+    return Versions(database, "keyframe_versions", "keyframes", *columns, _keyframe_to_row, _keyframe_from_row)
 
 
 def blank_keyframe(task: str, annotator: str, grasp: str, frame: int) -> KeyFrame:
-    """Make a frame without labels."""
+    """Make a key frame without labels."""
     return KeyFrame(f"{grasp}:{frame}", task, annotator, grasp, frame)
 
 
 def change_from_labels(frame: FrameLabels) -> Json:
-    """Return the change that gives a blank key frame the labels of a file."""
-    joints = {} if frame.joints is None else {
-        str(n): UNSEEN_JOINT if np.isnan(point).any() else point.tolist() for n, point in enumerate(frame.joints)
-    }  # fmt: skip
+    """Return the values that give a blank key frame the labels of a file."""
+    points = () if frame.joints is None else frame.joints
+    joints = {str(n): UNSEEN_JOINT if np.isnan(point).any() else point.tolist() for n, point in enumerate(points)}
     shapes = [(kind, shape) for kind in MIN_SHAPE_POINTS for shape in getattr(frame, kind) or ()]
     outlines = {
         f"outline-{n:04d}": {"of": kind, "closed": True, "points": shape.tolist()}
@@ -404,37 +348,32 @@ def change_from_labels(frame: FrameLabels) -> Json:
 
 
 def apply_keyframe_change(keyframe: KeyFrame, sets: Json, size: tuple[int, int]) -> KeyFrame:
-    """Apply a change to a key frame on an image of some width and height. Raises ``RefusedError``."""
+    """Apply a change to a key frame of an image of a ``size`` (width, height) [px]. Raises ``RefusedError``."""
     for key in ("hidden", "deleted"):
         if not isinstance(sets.get(key, False), bool):
             raise RefusedError(f"{key} must be true or false (got {shorten_value(sets[key])})")
     if sets.get("deleted"):
         return replace(keyframe, deleted=True)
-    old = (
-        blank_keyframe(keyframe.task, keyframe.annotator, keyframe.grasp, keyframe.frame)
-        if keyframe.deleted
-        else keyframe
-    )
-    new = replace(
-        old,
-        joints=old.joints
-        | {key: _checked_joint(key, value, size) for key, value in _checked_object(sets, "joints").items()},
-        outlines=old.outlines
-        | {key: _checked_outline(key, value, size) for key, value in _checked_object(sets, "outlines").items()},
-        hidden=sets.get("hidden", old.hidden),
-    )
-    new = replace(new, joints=_drop_nulls(new.joints), outlines=_drop_nulls(new.outlines))
+    new = keyframe
+    if keyframe.deleted:
+        new = blank_keyframe(keyframe.task, keyframe.annotator, keyframe.grasp, keyframe.frame)
+    joints = _changed_values(new.joints, sets, "joints", _checked_joint, size)
+    outlines = _changed_values(new.outlines, sets, "outlines", _checked_outline, size)
+    new = replace(new, joints=joints, outlines=outlines, hidden=sets.get("hidden", new.hidden))
     for kind in MIN_SHAPE_POINTS:
         if sum(one["of"] == kind for one in new.outlines.values()) > MAX_POLYGONS_PER_KIND:
             raise RefusedError(f"outlines must be at most {MAX_POLYGONS_PER_KIND} of one kind on a frame")
     return new if new.joints or new.outlines or new.hidden else replace(new, deleted=True)
 
 
-def _checked_object(sets: Json, key: str) -> Json:
-    value = sets.get(key, {})
-    if not isinstance(value, dict):
-        raise RefusedError(f"{key} must be an object (got {shorten_value(value)})")
-    return value
+def _changed_values(
+    old: Json, sets: Json, name: str, check: Callable[[str, object, tuple[int, int]], object], size: tuple[int, int]
+) -> Json:
+    """Check and apply the new values of a field; null removes a value."""
+    if not isinstance(changed := sets.get(name, {}), dict):
+        raise RefusedError(f"{name} must be an object (got {shorten_value(changed)})")
+    values = old | {key: check(key, value, size) for key, value in changed.items()}
+    return {key: value for key, value in values.items() if value is not None}
 
 
 def _checked_joint(key: str, value: object, size: tuple[int, int]) -> Point | str | None:
@@ -453,31 +392,24 @@ def _checked_outline(key: str, value: object, size: tuple[int, int]) -> Json | N
     if not isinstance(value, dict) or value.keys() != {"of", "closed", "points"}:
         raise RefusedError(f"outline must be of, closed and points (got {shorten_value(value)})")
     if value["of"] not in tuple(MIN_SHAPE_POINTS) or not isinstance(value["closed"], bool):
-        raise RefusedError(
-            f"outline must be one of {', '.join(MIN_SHAPE_POINTS)}, closed or not (got {shorten_value(value)})"
-        )
+        kinds = ", ".join(MIN_SHAPE_POINTS)
+        raise RefusedError(f"outline must be one of {kinds}, closed or not (got {shorten_value(value)})")
     points, least = value["points"], MIN_SHAPE_POINTS[value["of"]] if value["closed"] else 1
     if not isinstance(points, list) or not least <= len(points) <= MAX_LABEL_POLYGON_CORNERS:
-        raise RefusedError(
-            f"outline must be {least} to {MAX_LABEL_POLYGON_CORNERS} points (got {shorten_value(points)})"
-        )
+        number = f"{least} to {MAX_LABEL_POLYGON_CORNERS}"
+        raise RefusedError(f"outline must be {number} points (got {shorten_value(points)})")
     return value | {"points": [_checked_point(point, size) for point in points]}
 
 
 def _checked_point(value: object, size: tuple[int, int]) -> Point:
-    """Check a point in the image, or beside it by no more than the image's own size, to a hundredth of a pixel."""
+    """Check a point in the image, or outside it by no more than the image's size; round it to 0.01 pixels."""
     numbers = isinstance(value, list) and len(value) == 2 and all(type(x) in (int, float) for x in value)
     if not numbers or not isinstance(value, list):
         raise RefusedError(f"point must be [x, y] (got {shorten_value(value)})")
     if not all(-side <= x <= 2 * side for x, side in zip(value, size, strict=True)):  # false for NaN, too
-        raise RefusedError(
-            f"point must be one in or about the {size[0]} x {size[1]} image (got {shorten_value(value)})"
-        )
+        image = f"{size[0]} x {size[1]} image"
+        raise RefusedError(f"point must be one in or about the {image} (got {shorten_value(value)})")
     return [round(float(x), 2) for x in value]
-
-
-def _drop_nulls(values: Json) -> Json:
-    return {key: value for key, value in values.items() if value is not None}
 
 
 def _keyframe_to_row(keyframe: KeyFrame) -> Row:

@@ -1,9 +1,9 @@
-"""Marks and key frames in an SQLite file, every version of them, and drafts made from these.
+"""The SQLite file of marks and key frames, with every version of them, and of drafts.
 
-``versions`` and ``keyframe_versions`` hold all versions, the views ``marks`` and ``keyframes`` what stands. ``drafts``
-are computed from key frames: the polygons of the masks and the silhouette of the fitted hand, frame by frame. A draft
-says from what it was made (``basis``); where the key frames have changed since, it is out of date, and is shown until
-it is overwritten.
+The tables ``versions`` and ``keyframe_versions`` hold all versions, the views ``marks`` and ``keyframes`` the current
+states. ``drafts`` are computed from key frames: polygons of masks and the silhouette of the hand, frame by frame. A
+draft has a checksum of its inputs (``basis``); if the key frames have changed since, the draft is out of date, and is
+shown until it is overwritten.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from getagrip.studio.store.labels import KeyFrame
 from getagrip.studio.store.marks import Mark
 
 MARKS_DATABASE_VERSION = 3
-"""Version of the tables, kept as the file's ``user_version``. Version 1 had marks of grasps only, 2 key frames, too:
-they are read, and completed."""
+"""Version of the tables, the file's ``user_version``. Version 1 has marks of grasps only, 2 key frames, too: files of
+both are migrated."""
 MARKS_APPLICATION_ID = 0x67616772
 """The file's ``application_id``: "gagr"."""
 MAX_MARKS_TEXT_BYTES = 2**24
-"""Bytes of a text in the file."""
+"""Maximum size of a text in the file [bytes]."""
 DRAFTS_SCHEMA = """
 CREATE TABLE drafts (
     seq INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -38,9 +38,9 @@ CREATE TABLE drafts (
 CREATE INDEX drafts_of_grasp ON drafts (grasp, seq);
 """
 SCHEMA_MIGRATIONS = {1: marks.MARKS_SCHEMA, 2: labels.KEYFRAMES_SCHEMA + DRAFTS_SCHEMA, 3: marks.SEGMENTS_MIGRATION}
-"""Additions of each version."""
+"""Tables and columns that each version adds."""
 MAX_DRAFTS_PER_ANSWER = 200
-"""Drafts given in one answer."""
+"""Maximum number of drafts in one answer."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class DraftStore:
     database: VersionDatabase
 
     def put(self, grasp: str, kind: str, basis: str, frames: Mapping[int, Mapping[str, object]]) -> None:
-        """Keep drafts of some frames, of the "masks" or the "hand", in the place of older ones."""
+        """Store drafts of some frames, of the ``kind`` "masks" or "hand", in place of older ones."""
         rows = [(grasp, kind, n, basis, json.dumps(content, allow_nan=False)) for n, content in frames.items()]
         with self.database.transaction() as db:
             db.executemany("INSERT INTO drafts (grasp, kind, frame, basis, content) VALUES (?, ?, ?, ?, ?)", rows)
@@ -63,11 +63,11 @@ class DraftStore:
         return [dict(zip(keys, row, strict=False)) | {"content": json.loads(row[-1])} for row in rows]
 
     def bases(self, grasp: str, kind: str) -> dict[int, str]:
-        """Return, by frame, the inputs of the existing drafts."""
+        """Return, by frame, the checksums of the inputs of existing drafts."""
         return dict(self.database.rows("SELECT frame, basis FROM drafts WHERE grasp = ? AND kind = ?", (grasp, kind)))
 
     def confidence(self, grasp: str, basis: Collection[str]) -> dict[int, float]:
-        """Return the confidence of masks by frame, of those made of some inputs."""
+        """Return, by frame, the confidence of masks with one of the checksums ``basis``."""
         query = "SELECT frame, basis, content FROM drafts WHERE grasp = ? AND kind = 'masks'"
         rows = self.database.rows(query, (grasp,))
         return {n: json.loads(content)["confidence"] for n, made_of, content in rows if made_of in basis}
@@ -82,7 +82,7 @@ class MarkStore:
     """The contents of one file, for any number of threads and processes."""
 
     def __init__(self, path: Path) -> None:
-        """Open the file, or make it. Raises ``InputError`` where it is something else."""
+        """Open the file, or make it. Raises ``InputError`` for another kind of file."""
         self.path = path
         try:
             connection = files.connect(
@@ -93,7 +93,7 @@ class MarkStore:
             with self.database.transaction() as db:
                 _migrate_tables(path, db)
         except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter: a message that quotes damaged text
-            raise InputError(path, "", f"a file that is no database of marks ({error})", "one made here") from error
+            raise InputError(path, "", f"another kind of file ({error})", "a file of marks made here") from error
         self.marks: Versions[Mark] = marks.mark_versions(self.database)
         self.keyframes: Versions[KeyFrame] = labels.keyframe_versions(self.database)
         self.drafts = DraftStore(self.database)
@@ -105,18 +105,16 @@ class MarkStore:
 
 
 def _migrate_tables(path: Path, db: sqlite3.Connection) -> None:
-    """Make the tables that are not there yet. Raises ``InputError`` for a database of something else."""
+    """Make missing tables. Raises ``InputError`` for another kind of database."""
     (version,) = db.execute("PRAGMA user_version").fetchone()
     (tables,) = db.execute("SELECT count(*) FROM sqlite_master").fetchone()
     (application,) = db.execute("PRAGMA application_id").fetchone()
     empty = not tables and not version
     if not empty and (application != MARKS_APPLICATION_ID or version not in SCHEMA_MIGRATIONS):
-        raise InputError(
-            path, "", f"a database of another kind or version ({version})", f"version 1 to {MARKS_DATABASE_VERSION}"
-        )
-    if not empty and _table_definitions(db) != _table_definitions(
-        _empty_database(version)
-    ):  # a view of a stranger's may never end
+        got = f"a database of another kind or version ({version})"
+        raise InputError(path, "", got, f"version 1 to {MARKS_DATABASE_VERSION}")
+    # A query of a hostile file's view may never end.
+    if not empty and _table_definitions(db) != _table_definitions(_empty_database(version)):
         raise InputError(path, "", "a database with other tables or views", "one made here")
     for number, schema in SCHEMA_MIGRATIONS.items():
         for statement in schema.split(";\n") if number > version else []:
@@ -126,13 +124,12 @@ def _migrate_tables(path: Path, db: sqlite3.Connection) -> None:
 
 
 def _table_definitions(db: sqlite3.Connection) -> set[tuple[str, str]]:
-    """Tables, views and indices by name, as they were made; without those that SQLite makes for itself."""
+    """Return names and definitions of tables, views and indices, without SQLite's own."""
     rows = db.execute("SELECT name, sql FROM sqlite_master WHERE name NOT GLOB 'sqlite_*'").fetchall()
     return {(str(name), " ".join(str(sql).split())) for name, sql in rows}
 
 
 def _empty_database(version: int) -> sqlite3.Connection:
-    """Make an empty database of a version, in memory."""
     db = sqlite3.connect(":memory:")
     for number, schema in SCHEMA_MIGRATIONS.items():
         db.executescript(schema if number <= version else "")

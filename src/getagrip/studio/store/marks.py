@@ -1,17 +1,10 @@
-"""A mark: what one person says of a task.
+"""Marks of tasks by annotators; their agreement, whole interactions, and grasps made of them.
 
-Either what the object does in an interval (a segment, such as a stable grasp), or why there is nothing to mark, or that
-the camera stood still.
-
-Agreement of people on stable grasps: temporal intersection over union.
-
-A whole interaction, from table to hand and back: the segments that one person has marked of a task, as a timeline.
-
-Where a person has marked stable grasps only, and nothing of the camera, there is none: each grasp stands by itself.
-
-Marks of grasps as files: EPIC-Grasps' table, and the intervals as ``getagrip segment`` writes them.
-
-A finished grasp or a whole interaction that somebody has marked, and its footage.
+A mark is one of: the object's state in an interval (a segment, such as a stable grasp), the reason why a task is
+discarded, or the statement that the camera stood still. Agreement on stable grasps is temporal intersection over union.
+An annotator's segments of a task are a whole interaction, from table to hand and back, and become a timeline; stable
+grasps alone, without a mark of the camera, are independent grasps. Files of marks are EPIC-Grasps' table, and the
+intervals that ``getagrip segment`` writes.
 """
 
 from __future__ import annotations
@@ -20,7 +13,7 @@ import io
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, fields, replace
 from hashlib import sha256
 from itertools import combinations, pairwise
@@ -43,13 +36,24 @@ from getagrip.studio.store.history import RefusedError, Row, VersionDatabase, Ve
 from getagrip.studio.store.tasks import Task
 
 DISCARD_REASONS = ("no stable grasp", "out of view", "other CAD")
-"""Why a task is discarded: nothing is held stably, hand and object are not visible, the thing is unlike its mesh."""
+"""Why a task is discarded: no stable grasp, hand or object not visible, the object differs from its mesh."""
 GRASP_STATE = "grasp"
 """The state of a stable grasp (``clip.timeline``)."""
 STATIC_CAMERA = "still"
-"""Value for a camera that did not move."""
+"""Value of ``Mark.camera`` for a camera that did not move."""
 MARK_SETTABLE_FIELDS = frozenset({"start", "end", "side", "category", "entity", "reason", "state", "camera", "deleted"})
-"""Fields that the page may change."""
+"""Fields that a change may set."""
+CONTACT_STATES = ("grasp", "contact")
+"""States in which a hand touches the object."""
+INTERACTION_FIELDS = ("mark", "start", "end", "start_number", "end_number", "side", "category")
+"""Fields of an interaction's mark that the page shows."""
+EPIC_GRASPS_COLUMNS = (
+    "vid", "st_bound", "ed_bound", "st", "ed", "contact", "handside", "cat", "hos_name", "mp4_name", "set_name",
+    "round", "duration", "n_unfiltered_masks", "n_filtered_masks", "good_CAD", "example", "fmt", "ablate_inithand",
+)  # fmt: skip
+"""Columns of EPIC-Grasps' table."""
+MAX_GRASP_NAME_LENGTH = 100
+"""Maximum length of a grasp's name in files [characters]."""
 MARKS_SCHEMA = """
 CREATE TABLE versions (
     seq INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -68,7 +72,7 @@ SEGMENTS_MIGRATION = """
 ALTER TABLE versions ADD COLUMN state TEXT;
 ALTER TABLE versions ADD COLUMN camera TEXT;
 """
-"""Additions of version 3 of the tables; without a state, an interval is a stable grasp."""
+"""Columns added in version 3 of the tables; an interval without a state is a stable grasp."""
 
 
 @dataclass(frozen=True)
@@ -84,26 +88,26 @@ class Mark:
     category: str | None = None
     entity: str | None = None
     reason: str | None = None
-    """One of ``DISCARD_REASONS``: then it has neither start nor end."""
+    """One of ``DISCARD_REASONS``, in a mark without start and end."""
     deleted: bool = False
     start_number: int | None = None
-    """Start and end in the footage's own numbers."""
+    """Start and end in the footage's own frame numbers."""
     end_number: int | None = None
     seconds: float | None = None
-    """How long it lasts."""
+    """Duration [s]."""
     state: str = GRASP_STATE
     """State of the object in the interval: one of ``STATES``."""
     camera: str | None = None
-    """``STATIC_CAMERA`` where the mark says that of the camera: then it has neither start nor end."""
+    """``STATIC_CAMERA``, in a mark without start and end."""
 
     @property
     def interval(self) -> tuple[int, int] | None:
-        """Start and end of a segment that has both."""
+        """Start and end of a finished segment."""
         return None if self.start is None or self.end is None or self.deleted else (self.start, self.end)
 
     @property
     def grasp(self) -> tuple[int, int] | None:
-        """Start and end of a stable grasp that has both."""
+        """Start and end of a finished stable grasp."""
         return self.interval if self.state == GRASP_STATE else None
 
 
@@ -124,21 +128,16 @@ def _mark_from_row(row: Row) -> Mark:
 
 
 def _check_mark_fields(sets: Mapping[str, object]) -> None:
-    """Raise ``RefusedError`` for values that no mark can have."""
+    """Raise ``RefusedError`` for invalid values of fields."""
+    choices = {"state": STATES, "camera": (STATIC_CAMERA,), "side": ("left", "right"), "reason": DISCARD_REASONS}
     for key, value in sets.items():
         if key == "deleted":
             fine, expected = isinstance(value, bool), "true or false"
         elif key in ("start", "end"):
-            fine = value is None or (isinstance(value, int) and not isinstance(value, bool))
-            expected = "a frame"
-        elif key == "side":
-            fine, expected = value in ("left", "right"), "left or right"
-        elif key == "state":
-            fine, expected = value in STATES, f"one of {', '.join(STATES)}"
-        elif key == "camera":
-            fine, expected = value == STATIC_CAMERA, STATIC_CAMERA
-        elif key == "reason":
-            fine, expected = value is None or value in DISCARD_REASONS, f"one of {', '.join(DISCARD_REASONS)}"
+            fine, expected = value is None or type(value) is int, "a frame"
+        elif key in choices:
+            fine = value in choices[key] or (key == "reason" and value is None)
+            expected = f"one of {', '.join(choices[key])}"
         else:
             fine = isinstance(value, str) and 0 < len(value.strip()) <= 200 and value.isprintable()
             expected = "a name of up to 200 letters"
@@ -147,7 +146,7 @@ def _check_mark_fields(sets: Mapping[str, object]) -> None:
 
 
 def apply_mark_change(mark: Mark, sets: Json, footage: Footage) -> Mark:
-    """Apply a change to a mark, and add the footage's data of its frames. Raises ``RefusedError``."""
+    """Apply a change to a mark, and set frame numbers and duration from the footage. Raises ``RefusedError``."""
     _check_mark_fields(sets)
     new = replace(mark, **sets)
     for frame in (new.start, new.end):
@@ -159,9 +158,9 @@ def apply_mark_change(mark: Mark, sets: Json, footage: Footage) -> Mark:
         raise RefusedError("say first which hand holds the object: left or right")
     entry = [value for value in (new.start, new.reason, new.camera) if value is not None]
     if len(entry) > 1:
-        raise RefusedError("a mark is a segment, the reason why there is none, or about the camera: one of them")
+        raise RefusedError("a mark must be one of: a segment, a reason to discard the task, a statement on the camera")
     if not entry and not new.deleted:
-        raise RefusedError("a mark needs a start, or a reason why there is none")
+        raise RefusedError("a mark needs a start, or a reason to discard the task")
     return replace(
         new,
         start_number=None if new.start is None else footage.number(new.start),
@@ -172,33 +171,33 @@ def apply_mark_change(mark: Mark, sets: Json, footage: Footage) -> Mark:
 
 @dataclass(frozen=True)
 class Agreement:
-    """The agreement of two people, over the tasks that both have looked at."""
+    """The agreement of two annotators, over the tasks that both have marked or discarded."""
 
     first: str
     second: str
     tasks: int
-    """Tasks that both have marked or discarded."""
+    """Number of tasks."""
     both_discarded: int
     one_discarded: int
-    """Tasks in which one has found grasps and the other none."""
+    """Number of tasks in which one annotator has marked grasps and the other none."""
     grasps: int
-    """Grasps of tasks in which an annotator found any, paired ones counted once."""
+    """Number of grasps; matched ones are counted once."""
     iou: float | None
-    """Their mean temporal IOU, 0 for those without a partner; None where there are none."""
+    """Mean temporal IOU of the grasps, 0 for unmatched ones; None without grasps."""
     above_half: float | None
-    """Share of them with an IOU above one half."""
+    """Fraction of the grasps with an IOU above one half."""
 
 
 def temporal_iou(a: tuple[int, int], b: tuple[int, int]) -> float:
-    """Compute the IOU of two intervals of frames, ends included."""
+    """Compute the intersection over union of two intervals of frames, ends included."""
     both = min(a[1], b[1]) - max(a[0], b[0]) + 1
     return max(0, both) / (a[1] - a[0] + 1 + b[1] - b[0] + 1 - max(0, both))
 
 
 def match_grasps(ours: Sequence[Mark], theirs: Sequence[Mark]) -> list[float]:
-    """Match the grasps of two people such that the sum of IOU is largest; return their IOU, 0 for unmatched ones.
+    """Match two annotators' grasps such that the sum of IOU is largest; return the IOU of each, 0 for unmatched ones.
 
-    Grasps of different hands are not paired, nor such as do not overlap. The order of the people does not matter.
+    Grasps of different hands or without overlap are not matched. The result is symmetric.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -213,10 +212,10 @@ def match_grasps(ours: Sequence[Mark], theirs: Sequence[Mark]) -> list[float]:
 
 
 def pairwise_agreements(marks: Sequence[Mark]) -> list[Agreement]:
-    """Compute the agreement of every two people who have looked at the same tasks."""
+    """Compute the agreement of every two annotators of the same tasks."""
     marked: dict[str, dict[str, list[Mark]]] = {}
     for mark in marks:
-        if mark.interval or mark.reason:  # a start without an end says nothing yet
+        if mark.interval or mark.reason:  # unfinished marks do not count
             marked.setdefault(mark.annotator, {}).setdefault(mark.task, []).append(mark)
     found = [_agreement_of_pair(a, b, marked[a], marked[b]) for a, b in combinations(sorted(marked), 2)]
     return [one for one in found if one.tasks]
@@ -237,52 +236,53 @@ def _agreement_of_pair(
     return Agreement(first, second, len(shared), both, one, len(values), mean, half)
 
 
-CONTACT_STATES = ("grasp", "contact")
-"""States in which a hand touches the object."""
-
-
 @dataclass(frozen=True)
 class Interaction:
-    """Segments of a task, numbered from 1 in the order of their starts, as the page does."""
+    """An annotator's segments of a task."""
 
     task: Task
     footage: Footage
     numbered: tuple[tuple[int, Mark], ...]
+    """Segments with their numbers on the page, from 1 in the order of starts."""
     still: bool
-    """The camera did not move, as the person states."""
+    """True if the annotator states that the camera did not move."""
 
     @property
     def finished(self) -> list[tuple[int, Mark]]:
-        """The segments that have an end."""
+        """Segments with an end, and their numbers."""
         return [(n, mark) for n, mark in self.numbered if mark.interval]
 
     @property
     def side(self) -> Side | None:
-        """The hand that touches the object longest, in stable grasps if there are any; None where none is stated."""
+        """The hand that touches the object longest, in stable grasps if any; None where no side is stated."""
         frames: Counter[tuple[bool, bool, str]] = Counter()
         for _, mark in self.finished:
             if mark.side is not None:
-                frames[mark.state == GRASP_STATE, mark.state in CONTACT_STATES, mark.side] += _mark_frame_count(mark)
+                frames[mark.state == GRASP_STATE, mark.state in CONTACT_STATES, mark.side] += _n_frames(mark)
         if not frames:
             return None
         return cast(Side, max(frames, key=lambda key: (*key[:2], frames[key]))[2])
 
     @property
     def mark(self) -> Mark:
-        """All of it as one mark, whose frames can be labelled. Raises ``RefusedError`` where no segment is finished."""
+        """One mark from the first to the last frame, for labels. Raises ``RefusedError`` without a finished segment.
+
+        Its name does not depend on the segments, so labels remain when these change.
+        """
         own = [mark for _, mark in self.finished]
         if not own:
             raise RefusedError("mark the end of a segment first")
         first, last = min(mark.start or 0 for mark in own), max(mark.end or 0 for mark in own)
         about = next((mark for mark in own if mark.category), own[0])
+        name = str(uuid5(NAMESPACE_OID, f"{about.annotator}/{about.task}"))
         return replace(
-            about, mark=_interaction_id(own[0]), start=first, end=last, side=self.side,
+            about, mark=name, start=first, end=last, side=self.side,
             start_number=self.footage.number(first), end_number=self.footage.number(last),
             seconds=duration_seconds(self.footage, first, last),
         )  # fmt: skip
 
     def overlaps(self) -> list[str]:
-        """Return texts on frames that are in two segments: these cannot be written."""
+        """Return texts on frames in two segments, which prevent writing."""
         out = []
         for (n, one), (m, other) in combinations(self.finished, 2):
             first, last = max(one.start or 0, other.start or 0), min(one.end or 0, other.end or 0)
@@ -291,46 +291,40 @@ class Interaction:
         return out
 
     def hints(self) -> list[str]:
-        """Return hints: gaps, missing ends, a camera of which nothing is known."""
-        return list(self._hints())
-
-    def _hints(self) -> Iterator[str]:
-        yield from (f"Segment {n} has no end yet." for n, mark in self.numbered if not mark.interval)
+        """Return hints on gaps, missing ends, an unknown camera and unknown hands."""
+        out = [f"Segment {n} has no end yet." for n, mark in self.numbered if not mark.interval]
         order = sorted(self.finished, key=lambda one: one[1].start or 0)
         for (n, one), (m, other) in pairwise(order):
             first, last = (one.end or 0) + 1, (other.start or 0) - 1
             if first <= last:
                 frames = self._frames(first, last)
-                yield f"{frames} in no segment, between {n} and {m}: what the object does there counts as unknown."
+                out.append(f"{frames} in no segment, between {n} and {m}: the object's state there counts as unknown.")
         states = {mark.state for _, mark in order}
         if "static" in states and not self.still:
-            yield "Where the object lies still, the camera must be known: state below that it stood still, if it did."
+            out.append("Where the object lies still, the camera must be known: state below if it stood still.")
         if order and not states & {"static", GRASP_STATE}:
-            yield "Nothing can be reconstructed yet: mark where the object lies still, or is held in a stable grasp."
+            out.append("Nothing can be reconstructed yet: mark where the object lies still, or a stable grasp.")
         if self.side is None and states & {*CONTACT_STATES}:
-            yield "Which hand touches the object? Choose left or right."
+            out.append("Which hand touches the object? Choose left or right.")
         others = [n for n, mark in order if mark.state in CONTACT_STATES and (mark.side or self.side) != self.side]
         if others:
-            which = "segment" if len(others) == 1 else "segments"
-            yield (
-                f"The {self.side} hand is the clip's. In {which} {', '.join(map(str, others))} the other one touches "
-                "the object, which is followed there by its masks only."
-            )
+            where = f"{'segment' if len(others) == 1 else 'segments'} {', '.join(map(str, others))}"
+            only = "the other hand touches the object, whose poses come from its masks only."
+            out.append(f"The {self.side} hand is the clip's. In {where} {only}")
+        return out
 
     def listed(self) -> SegmentList:
-        """Return the segments as files have them, in frames of a clip. Raises ``RefusedError`` where some overlap."""
+        """Return the entry of a segment file, in frames of a clip. Raises ``RefusedError`` where segments overlap."""
         if overlaps := self.overlaps():
             raise RefusedError(" ".join(overlaps))
         order = sorted((mark for _, mark in self.finished), key=lambda mark: mark.start or 0)
         if self.side is None and any(mark.state in CONTACT_STATES for mark in order):
             raise RefusedError("say first which hand touches the object: left or right")
+        sides = [cast(Side, mark.side or self.side) if mark.state in CONTACT_STATES else None for mark in order]
         segments = [
-            Segment(
-                cast(State, mark.state), mark.start or 0, mark.end or 0,
-                cast(Side, mark.side or self.side) if mark.state in CONTACT_STATES else None,
-            )
-            for mark in order
-        ]  # fmt: skip
+            Segment(cast(State, mark.state), mark.start or 0, mark.end or 0, side)
+            for mark, side in zip(order, sides, strict=True)
+        ]
         names = FrameNames(self.footage)
         who = next(mark.annotator for _, mark in self.numbered)
         still = f"as {who} states" if self.still else None
@@ -339,9 +333,8 @@ class Interaction:
         return SegmentList(path, self.task.key, segment_fields(segments, names), f"marked by {who}", still)
 
     def state(self) -> dict[str, object]:
-        """Return the fields that the page shows of it."""
-        own = [mark for _, mark in self.finished]
-        mark = self.mark if own else None
+        """Return the fields that the page shows."""
+        mark = self.mark if self.finished else None
         about = {} if mark is None else {key: getattr(mark, key) for key in INTERACTION_FIELDS}
         return about | {"still": self.still, "overlaps": self.overlaps(), "hints": self.hints()}
 
@@ -350,22 +343,15 @@ class Interaction:
         return f"Frame {a} is" if first == last else f"Frames {a} to {b} are"
 
 
-INTERACTION_FIELDS = ("mark", "start", "end", "start_number", "end_number", "side", "category")
-"""Fields that the page shows of all of it."""
-
-
 def is_interaction(marks: Sequence[Mark]) -> bool:
-    """Return whether one person's marks of a task are of a whole interaction."""
+    """Return whether an annotator's marks of a task are a whole interaction, rather than independent grasps."""
     return any(mark.start is not None for mark in marks) and any(
         mark.camera == STATIC_CAMERA or (mark.start is not None and mark.state != GRASP_STATE) for mark in marks
     )
 
 
 def interaction_of_marks(task: Task, footage: Footage, marks: Sequence[Mark]) -> Interaction:
-    """Return the interaction of one person's marks of a task.
-
-    Marks beyond the footage, which was longer once, are left out.
-    """
+    """Return the interaction of an annotator's marks of a task, without marks beyond the end of the footage."""
     inside = [mark for mark in marks if mark.start is not None and max(mark.start, mark.end or 0) < footage.frames]
     segments = sorted(inside, key=lambda mark: mark.start or 0)
     still = any(mark.camera == STATIC_CAMERA for mark in marks)
@@ -373,7 +359,7 @@ def interaction_of_marks(task: Task, footage: Footage, marks: Sequence[Mark]) ->
 
 
 def read_task_segments(path: Path, tasks: Sequence[Task]) -> list[tuple[Task, SegmentList]]:
-    """Return a file's segments of some tasks, by their names; of a single task also the only entry.
+    """Return a segment file's entries for tasks, by their names; for a single task also the only entry.
 
     Raises ``InputError``.
     """
@@ -382,36 +368,23 @@ def read_task_segments(path: Path, tasks: Sequence[Task]) -> list[tuple[Task, Se
     known = files.read_json(path)
     found = [task for task in tasks if task.key in known]
     if not found:
-        raise InputError(path, "", "no segments of the footage given", f"those of {files.printable(tasks[0].key)}, ...")
+        raise InputError(path, "", "no segments of the input footage", f"{files.printable(tasks[0].key)}, ...")
     return [(task, read.read_segment_list(path, [task.key])) for task in found]
 
 
-def _interaction_id(mark: Mark) -> str:
-    """Return the name that labels of the whole are kept under, whatever its segments are."""
-    return str(uuid5(NAMESPACE_OID, f"{mark.annotator}/{mark.task}"))
-
-
-def _mark_frame_count(mark: Mark) -> int:
+def _n_frames(mark: Mark) -> int:
     return (mark.end or 0) - (mark.start or 0) + 1
 
 
-EPIC_GRASPS_COLUMNS = ("vid", "st_bound", "ed_bound", "st", "ed", "contact", "handside", "cat", "hos_name", "mp4_name", "set_name",
-           "round", "duration", "n_unfiltered_masks", "n_filtered_masks", "good_CAD", "example", "fmt",
-           "ablate_inithand")  # fmt: skip
-"""Columns of EPIC-Grasps' table."""
-
-
 def finished_grasps(marks: Sequence[Mark]) -> list[Mark]:
-    """Return the finished grasps, each once: of those with the same video, hand, category and frames the first."""
+    """Return the stable grasps with start, end, side and category."""
     return [mark for mark in marks if mark.grasp and mark.side and mark.category]
 
 
 def epic_rows(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[str, object]]:
-    """Return the rows of EPIC-Grasps' table.
+    """Return the rows of EPIC-Grasps' table, one for each video, hand, category and interval.
 
-    What annotation cannot know stays empty: the counts of masks, sets and rounds.
-
-    A task without rough bounds has the grasp's own.
+    Counts of masks, sets and rounds stay empty. A task without rough bounds gets the grasp's own.
     """
     rows: dict[str, Mapping[str, object]] = {}
     for mark in finished_grasps(marks):
@@ -435,31 +408,23 @@ def epic_rows(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[
 def epic_csv(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> str:
     """Write EPIC-Grasps' table as text."""
     stream = io.StringIO(newline="")
-    rows = epic_rows(marks, tasks)
-    CsvTable(stream).write_rows(
-        [EPIC_GRASPS_COLUMNS, *([row[column] for column in EPIC_GRASPS_COLUMNS] for row in rows)]
-    )
+    rows = ([row[column] for column in EPIC_GRASPS_COLUMNS] for row in epic_rows(marks, tasks))
+    CsvTable(stream).write_rows([EPIC_GRASPS_COLUMNS, *rows])
     return stream.getvalue()
 
 
 def grasp_intervals(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[str, object]]:
-    """Return the grasps under the names that ``segment`` gives them; frames count from 0, both included, seconds."""
+    """Return the grasps with the keys of ``getagrip segment``: frames from 0, both included, duration [s]."""
+    fields = {"side": "side", "object": "category", "start": "start", "end": "end", "duration": "seconds"}
     rows = [
-        {
-            "clip": tasks[mark.task].video,
-            "side": mark.side,
-            "object": mark.category,
-            "start": mark.start,
-            "end": mark.end,
-            "duration": mark.seconds,
-        }
+        {"clip": tasks[mark.task].video} | {key: getattr(mark, field) for key, field in fields.items()}
         for mark in finished_grasps(marks)
     ]
     return [row for n, row in enumerate(rows) if row not in rows[:n]]
 
 
 def discarded_tasks(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[str, object]]:
-    """Return the tasks that were discarded, and why."""
+    """Return the discarded tasks, with annotator and reason."""
     return [
         {"task": mark.task, "clip": tasks[mark.task].video, "annotator": mark.annotator, "reason": mark.reason}
         for mark in marks
@@ -467,48 +432,40 @@ def discarded_tasks(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Ma
     ]
 
 
-MAX_GRASP_NAME_LENGTH = 100
-"""Characters of a grasp's name in files."""
-
-
 @dataclass(frozen=True)
 class Grasp:
-    """A finished grasp, or a whole interaction, and the footage that shows it."""
+    """A finished grasp, or a whole interaction, and its footage."""
 
     task: Task
     footage: Footage
     mark: Mark
     whole: Interaction | None = None
-    """Segments of a whole interaction."""
+    """The interaction; None for a single grasp."""
 
     @property
     def extent(self) -> tuple[int, int]:
-        """First and last frame. Raises ``RefusedError`` where they are not marked yet."""
+        """First and last frame. Raises ``RefusedError`` without these marks."""
         if self.mark.interval is None:
             raise RefusedError("mark the start and the end of the grasp first")
         return self.mark.interval
 
     @property
     def side(self) -> Side:
-        """Which hand. Raises ``RefusedError`` where the mark does not have it."""
+        """Side of the hand. Raises ``RefusedError`` for a mark without it."""
         if self.mark.side not in ("left", "right"):
             raise RefusedError("say first which hand holds the object")
         return cast(Side, self.mark.side)
 
     @property
     def name(self) -> str:
-        """Name of its files; names that had to be cut or changed for that differ by a checksum."""
+        """Name of the grasp's files; truncated or changed names end with a checksum."""
         parts = [self.mark.annotator, self.task.video, self.mark.start_number, self.mark.end_number, self.side]
         whole = "-".join(map(str, parts))
         plain = re.sub(r"[^\w.-]", "_", whole).lstrip(".")[:MAX_GRASP_NAME_LENGTH]
-        return plain if plain == whole else f"{plain}-{_name_checksum(whole)[:8]}"
+        return plain if plain == whole else f"{plain}-{sha256(json.dumps([whole]).encode()).hexdigest()[:8]}"
 
     @property
     def path(self) -> Path:
-        """Path of the footage, which is open."""
+        """Path of the footage."""
         assert self.task.path is not None
         return self.task.path
-
-
-def _name_checksum(name: str) -> str:
-    return sha256(json.dumps([name]).encode()).hexdigest()[:16]

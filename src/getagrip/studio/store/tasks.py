@@ -1,4 +1,4 @@
-"""The tasks to look through: a video, a folder of images, or a list of candidates in several of them."""
+"""Annotation tasks: a video, a folder of images, or a list of candidates in several of them."""
 
 from __future__ import annotations
 
@@ -11,33 +11,34 @@ from typing import cast
 
 from getagrip.errors import InputError
 from getagrip.io.files import csv_rows, is_portable_name, printable, read_bytes, shorten_value
-from getagrip.readers.datasets.epic.epic_tables import MAX_FRAME_NUMBER, SIDE_BY_HAND_NAME, subject_of
-from getagrip.readers.footage import VIDEO_SUFFIXES, Footage, ImageFolder, VideoFootage
+from getagrip.readers.datasets.epic.epic_tables import MAX_FRAME_NUMBER, subject_of
+from getagrip.readers.datasets.epic.visor import SIDE_BY_HAND_NAME
+from getagrip.readers.footage import Footage, ImageFolder, VideoFootage
+from getagrip.readers.video import VIDEO_SUFFIXES
 
 MAX_TASK_LIST_BYTES = 64 * 2**20
-"""Limit in bytes of a list."""
+"""Maximum size of a list of candidates [bytes]."""
 MAX_TASK_TEXT_LENGTH = 200
-"""Letters of a category's or thing's name."""
-
+"""Maximum length of the name of a category or thing [characters]."""
 TASK_COLUMNS = (
     ("video", "start", "end", "side", "category", "entity"),
     ("vid", "st_bound", "ed_bound", "handside", "cat", "hos_name"),
     ("video", "start_bound", "end_bound", "side", "category", "entity"),
 )
-"""Columns of a list: one made by hand, EPIC-Grasps' table, the JSON of ``epic candidates``. The last is optional."""
+"""Columns of a list: made by hand, EPIC-Grasps' table, the JSON of ``epic candidates``. The last column is optional."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """Some footage, or a part of it, in which a person is to find stable grasps."""
+    """Footage, or an interval of it, in which an annotator marks stable grasps."""
 
     key: str
-    """Unlike any other task's."""
+    """Unique name."""
     video: str
     path: Path | None
     """Path of the footage; None where it was not found."""
     start: int | None = None
-    """Rough start and end, both included, in the footage's own numbers; None for all of it."""
+    """Rough start and end, both included, in the footage's own frame numbers; None for all frames."""
     end: int | None = None
     side: str | None = None
     category: str | None = None
@@ -49,7 +50,7 @@ class Task:
     """EPIC-Grasps' name of the candidate."""
 
     def extent(self, footage: Footage) -> tuple[int, int]:
-        """Return the first and last frame, from 0. Raises ``InputError`` where the footage ends before the first."""
+        """Return the first and last frame, from 0. Raises ``InputError`` where the footage ends before ``start``."""
         if self.start is None or self.end is None:
             return 0, footage.frames - 1
         last = footage.number(footage.frames - 1)
@@ -67,8 +68,8 @@ def open_footage(path: Path) -> Footage:
 def read_tasks(source: Path, videos: Path | None = None) -> list[Task]:
     """Return one task for a video or a folder of images; for a list (.csv, .json) one for each candidate.
 
-    The footage of a list is looked for in ``videos``, by default where the list is. Raises ``InputError``, also for a
-    source that is no footage.
+    ``videos`` is the folder of a list's footage, by default the list's own. Raises ``InputError`` for a malformed list,
+    and for a source that is neither list nor footage.
     """
     if source.is_file() and source.suffix.lower() in (".csv", ".json"):
         tasks = [_parse_task(source, videos or source.parent, *row) for row in _read_task_rows(source)]
@@ -122,22 +123,13 @@ def _parse_task(source: Path, videos: Path, where: str, named: Sequence[str], ro
     if name is not None and not (isinstance(name, str) and is_portable_name(name)):
         raise InputError(source, f"{where}mp4_name", shorten_value(name), "the name of a file")
     own = f"{video}_{start}_{end}_{side}_{category}" + (f"_{entity}" if entity else "")
-    return Task(
-        key=name.removesuffix(".mp4") if name else own,
-        video=video,
-        path=_find_footage(videos, video),
-        start=start,
-        end=end,
-        side=side,
-        category=category,
-        entity=entity,
-        contact=None if contact < 0 else contact,
-        mp4_name=name and f"{name.removesuffix('.mp4')}.mp4",
-    )
+    key, mp4_name = (name.removesuffix(".mp4"), f"{name.removesuffix('.mp4')}.mp4") if name else (own, None)
+    touched = None if contact < 0 else contact
+    return Task(key, video, _find_footage(videos, video), start, end, side, category, entity, touched, mp4_name)
 
 
 def _find_footage(root: Path, video: str) -> Path | None:
-    """Find a video's file or folder of frames: in the folder itself, or where EPIC-KITCHENS has them."""
+    """Find a video's file or folder of frames, in the root folder or in the folders of EPIC-KITCHENS."""
     subject = root / subject_of(video)
     stem = Path(video).stem if Path(video).suffix in VIDEO_SUFFIXES else video
     files = (folder / f"{stem}{suffix}" for folder in (root, subject / "videos", subject) for suffix in VIDEO_SUFFIXES)
@@ -146,7 +138,7 @@ def _find_footage(root: Path, video: str) -> Path | None:
 
 
 def _read_task_rows(path: Path) -> Iterator[tuple[str, Sequence[str], Mapping[str, object]]]:
-    """Each row of a list: where it stands, how its columns are named, and its cells. Raises ``InputError``."""
+    """Yield each row of a list: its place, the names of its columns, and its cells. Raises ``InputError``."""
     content = read_bytes(path, MAX_TASK_LIST_BYTES)
     rows = _json_task_rows(path, content) if path.suffix.lower() == ".json" else _csv_task_rows(path, content)
     if not rows:
@@ -163,10 +155,10 @@ def _json_task_rows(path: Path, content: bytes) -> list[tuple[str, dict[str, obj
     try:
         rows = json.loads(content)
     except (ValueError, RecursionError) as error:  # RecursionError: nested thousands deep
-        raise InputError(path, "", f"text that is no JSON ({error})", "a list of candidates") from error
+        raise InputError(path, "", f"invalid JSON ({error})", "a list of candidates") from error
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise InputError(path, "", f"a JSON {type(rows).__name__}", "a list of candidates, each an object")
-    for row in rows:  # `epic candidates` lists all its contacts: the first is as good as any
+    for row in rows:  # `epic candidates` lists all contacts
         if isinstance(contacts := row.get("contacts"), list) and contacts:
             row["contact"] = contacts[0]
     return [(f"[{n}].", cast(dict[str, object], row)) for n, row in enumerate(rows)]

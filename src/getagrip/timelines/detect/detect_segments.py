@@ -1,4 +1,4 @@
-"""The segments of an uncut clip, from its masks, hands and camera alone."""
+"""The segments of an uncut clip, from its masks, hands and camera."""
 
 from __future__ import annotations
 
@@ -40,33 +40,30 @@ from getagrip.timelines.detect.semi_markov import (
 )
 
 STATE_WITHOUT_GRASP: dict[Motion, State] = {"static": "static", "held": "contact", "free": "free"}
-"""State of a segment where no grasp is stable."""
+"""State of each motion outside of stable grasps."""
 MAX_MASK_LAG_S = 0.13
-"""Longest time between masks that are compared [s]."""
+"""Maximum time between two compared masks [s]."""
 MAX_FIT_FRAMES, MIN_FIT_FRAMES = 60, 6
-"""Frames of a fit, at most and at least."""
+"""Maximum and minimum number of frames of a fit."""
 FIT_OVERLAP_FRAMES, FIT_CONTEXT_FRAMES = 30, 150
-"""A fit is tried in the pauses beside it and this many frames beyond them, up to the second number on either side."""
+"""Number of frames by which a fit is extended beyond the pauses beside it, and maximum extension on either side."""
 MAX_SEGMENTED_FRAMES = 3000
-"""Most frames of a clip: every window of frames has a cost."""
+"""Maximum number of frames of a clip: the cost table has an entry for every window of frames."""
 CONTACT_10_MM_DEFINITION = Definition(contact=0.010)
-
-
 STATIC_CAMERA_NOTE = "which is a guess: nothing is known of its motion"
-"""Said of a camera that is taken to stand still (``clip.read``)."""
+"""Note on a camera that is assumed to be static (``clip.read``)."""
 FINGER_SMOOTHING_SIGMA_S = 0.067
-"""Fingers are smoothed in time by a Gaussian of this standard deviation [s]: those of trackers tremble, and with them
-what they touch."""
+"""Standard deviation of the Gaussian that smooths the fingers in time [s]: a tracker's jitter changes the contacts."""
 
 
 @dataclass(frozen=True)
 class DetectedSegment:
-    """A segment, and how sure it is.
+    """A segment and its margin.
 
     Attributes:
         segment: frames, state and side.
-        margin: how much more the next best division costs, in which these frames are in another state; that of a grasp
-            is the grasp's segment (``semi_markov.margins``) [nats].
+        margin: additional cost of the next best division, without this segment's state in its frames
+            (``semi_markov.division_margins``); of a grasp, that of the grasped segment around it [nats].
     """
 
     segment: Segment
@@ -75,7 +72,7 @@ class DetectedSegment:
 
 @dataclass(frozen=True)
 class DetectedSegments:
-    """All segments of a clip, which follow each other, and what was assumed."""
+    """All segments of a clip, consecutive, and notes on assumptions."""
 
     segments: tuple[DetectedSegment, ...]
     notes: tuple[str, ...]
@@ -93,12 +90,12 @@ def find_segments(
     options: Options | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> DetectedSegments:
-    """Find the segments of a clip; ``masks`` are read from its folder where none are given.
+    """Find the segments of a clip; ``masks`` are read from its folder unless passed.
 
-    Without ``clip.world`` the camera is taken to stand still. Frames whose mask is not known are left out; halfway
-    between two others one segment ends and the next begins. The clip's own segments and truth are not read. Of
-    ``options`` the method and the frames that follow from others do not matter. Raises ``UsageError`` for masks of
-    another clip, and ``InputError`` for what no clip can be, and for more than ``MAX_SEGMENTED_FRAMES`` frames.
+    Without ``clip.world`` the camera is assumed to be static. Frames without a known mask are skipped, and joined to
+    the segment of the nearest frame. The clip's own segments and ground truth are not used, neither are the options'
+    method and options about remaining frames. Raises ``UsageError`` for masks of another clip, and ``InputError`` for
+    an invalid clip and for more than ``MAX_SEGMENTED_FRAMES`` frames.
     """
     check_clip(clip)
     if len(clip) > MAX_SEGMENTED_FRAMES:
@@ -110,9 +107,8 @@ def find_segments(
     if 1 < len(rows) < len(clip):
         rate = clip.fps * (len(rows) - 1) / (rows[-1] - rows[0])
         some = replace(replace(clip, segments=(), truth=None).take(rows), fps=rate)
-        return _spread_to_all_frames(
-            find_segments(some, masks.take(rows), definition, options, progress), rows, len(clip)
-        )
+        found = find_segments(some, masks.take(rows), definition, options, progress)
+        return _spread_to_all_frames(found, rows, len(clip))
     clip, glitches = repair_hand(replace(clip, segments=(), truth=None), options)
     moved = _image_motion_of_clip(clip, masks)
     with threadpool_limits(1, user_api="blas"):
@@ -121,19 +117,17 @@ def find_segments(
     division = cheapest_division(cost)
     notes = [] if clip.world is not None else ["the camera is taken to stand still: a guess"]
     if EXTRAPOLATED_HANDS_KEY in clip.provenance:
-        notes.append(
-            f"{EXTRAPOLATED_HANDS_KEY}: {clip.provenance[EXTRAPOLATED_HANDS_KEY]}: a grasp found there is one, too"
-        )
+        hands = f"{EXTRAPOLATED_HANDS_KEY}: {clip.provenance[EXTRAPOLATED_HANDS_KEY]}"
+        notes.append(f"{hands}: a grasp found there is one, too")
     if glitches is not None and glitches.frames:
         notes.append(str(glitches))
     margin = division_margins(cost, division)
-    return DetectedSegments(
-        tuple(_detected_segments(clip, division, margin, fits, moved.jitter, definition)), tuple(notes)
-    )
+    segments = _detected_segments(clip, division, margin, fits, moved.jitter, definition)
+    return DetectedSegments(tuple(segments), tuple(notes))
 
 
 def _spread_to_all_frames(found: DetectedSegments, rows: Int[ndarray, "n"], frames: int) -> DetectedSegments:
-    """Segments found in some of the frames, in all."""
+    """Extend segments of the frames ``rows`` to all ``frames``; borders lie halfway between two rows."""
     begins = [0, *(int(rows[s.segment.first - 1] + rows[s.segment.first]) // 2 + 1 for s in found.segments[1:])]
     ends = [*(begin - 1 for begin in begins[1:]), frames - 1]
     spread = tuple(
@@ -145,7 +139,7 @@ def _spread_to_all_frames(found: DetectedSegments, rows: Int[ndarray, "n"], fram
 
 
 def moving_runs(clip: Clip, masks: Masks) -> list[tuple[int, int]]:
-    """Return first and last frame of each run of frames in which the object moves, by image motion alone."""
+    """Return first and last frame of each run in which the object moves, by its motion in the image alone."""
     return _runs_between_static(_image_motion_of_clip(clip, masks))
 
 
@@ -154,7 +148,7 @@ def _image_motion_of_clip(clip: Clip, masks: Masks) -> ImageMotion:
 
 
 def _runs_between_static(moved: ImageMotion) -> list[tuple[int, int]]:
-    """Return the runs between the static segments of the cheapest division into static and free."""
+    """Return the runs between static segments, by the cheapest division into static and free."""
     division = cheapest_division(window_costs(moved, []))
     lies = np.zeros(moved.moved.shape[1], dtype=bool)
     for (first, last), state in zip(division.spans, division.states, strict=True):
@@ -164,20 +158,15 @@ def _runs_between_static(moved: ImageMotion) -> list[tuple[int, int]]:
 
 
 def _fit_moving_parts(
-    clip: Clip,
-    masks: Masks,
-    runs: Sequence[tuple[int, int]],
-    options: Options,
-    progress: Callable[[float], None],
+    clip: Clip, masks: Masks, runs: Sequence[tuple[int, int]], options: Options, progress: Callable[[float], None]
 ) -> list[HingeFit]:
-    """Fit the object to each known hand wherever it does not lie still; none where nothing can be fitted."""
+    """Fit the object to each known hand in all moving runs; frames that cannot be fitted are skipped."""
     hands, parts, fits = _clips_by_hand(clip, masks), list(split_runs(runs, MAX_FIT_FRAMES, MIN_FIT_FRAMES)), []
     for k, frames in enumerate(parts):
         before = parts[k - 1][-1] + 1 - FIT_OVERLAP_FRAMES if k else 0
         after = parts[k + 1][0] + FIT_OVERLAP_FRAMES if k + 1 < len(parts) else len(clip)
-        around = np.arange(
-            max(0, before, frames[0] - FIT_CONTEXT_FRAMES), min(len(clip), after, frames[-1] + 1 + FIT_CONTEXT_FRAMES)
-        )
+        first, end = frames[0] - FIT_CONTEXT_FRAMES, frames[-1] + 1 + FIT_CONTEXT_FRAMES
+        around = np.arange(max(0, before, first), min(len(clip), after, end))
         for by, seen, known in hands:
             with suppress(NothingToFitError):
                 fits.append(fit_hinge(by, seen, frames[known[frames]], around[known[around]], options))
@@ -186,11 +175,11 @@ def _fit_moving_parts(
 
 
 def _clips_by_hand(clip: Clip, masks: Masks) -> list[tuple[Clip, Masks, Bool[ndarray, "T"]]]:
-    """Return the clip with each known hand for its own, and the frames in which that is known."""
+    """Return a clip and masks per known hand, and the frames in which the hand is known."""
     hands = [(clip, masks, clip.hand_known(clip.side))]
     for side in SIDES:
         by = clip.with_side(side)
-        if by is not None and by is not clip:  # its own pixels are not known apart
+        if by is not None and by is not clip:  # no mask shows the other hand alone
             hands.append((by, replace(masks, hand=None), clip.hand_known(side)))
     return hands
 
@@ -203,10 +192,10 @@ def _detected_segments(
     jitter: float,
     definition: Definition,
 ) -> Iterator[DetectedSegment]:
-    """Yield the segments of a division; grasped ones are divided by Eq. 2.
+    """Yield the segments of a division; Eq. 2 divides grasped ones.
 
-    A hand may hold an object steadily before it lifts it, and after it has set it down: then the grasp takes frames
-    from the static segments beside it.
+    A hand can hold an object steadily before it is lifted and after it is put down: such a grasp takes frames from the
+    neighbouring static segments.
     """
     spans, motions = division.spans, [MOTION_STATES[state] for state in division.states]
     lengths = spans[:, 1] + 1 - spans[:, 0]
@@ -238,18 +227,18 @@ def _detected_segments(
 
 @dataclass(frozen=True)
 class ReconstructedMotion:
-    """An object in some frames that follow each other: as a hand holds it, and as it lies before and after.
+    """An object's motion in consecutive frames: moved by a hand, and at rest before and after.
 
     Attributes:
         frames: (n,) the frames.
-        grasped: (n,) true in the frames in which a hand grasps it.
+        grasped: (n,) true in frames in which the hand moves the object.
         T_cam_obj: (n, 4, 4) poses of the object.
         T_cam_hand: (n, 4, 4) poses of the hand.
-        scale: of the object.
+        scale: scale of the object.
     """
 
     frames: Int[ndarray, "n"]
-    fits: Bool[ndarray, "n"]
+    grasped: Bool[ndarray, "n"]
     T_cam_obj: Float[ndarray, "n 4 4"]
     T_cam_hand: Float[ndarray, "n 4 4"]
     scale: float
@@ -258,9 +247,9 @@ class ReconstructedMotion:
 def reconstruct_segment(
     clip: Clip, fit: HingeFit, first: int, last: int, still_before: int, still_after: int
 ) -> ReconstructedMotion:
-    """Return a fit in its segment, with the object still in the world before and after.
+    """Return a fit's motion in its segment, extended by frames in which the object rests in the world.
 
-    There the hand's pose is the fit's if it was tried there, else the clip's.
+    The hand's pose is the fit's in all frames of the fit, else the clip's.
     """
     frames = np.arange(first - still_before, last + 1 + still_after)
     inside = (fit.frames >= first) & (fit.frames <= last)
@@ -275,13 +264,10 @@ def reconstruct_segment(
 
 
 def stable_grasps_in(clip: Clip, found: ReconstructedMotion, definition: Definition) -> list[tuple[int, int]]:
-    """Return first and last frame of each stable grasp (Eq. 2) that contains a grasped frame."""
+    """Return first and last frame of each stable grasp (Eq. 2) that includes a grasped frame."""
     part = clip.take(found.frames)
     fingers = gaussian_filter1d(part.hand.vertices, FINGER_SMOOTHING_SIGMA_S * clip.fps, axis=0, mode="nearest")
     posed = Truth(found.T_cam_obj, found.scale, found.T_cam_hand, fingers)
     _, grasps = segment(replace(part, truth=posed), definition)
-    return [
-        (int(found.frames[first]), int(found.frames[last]))
-        for first, last in grasps
-        if found.fits[first : last + 1].any()
-    ]
+    spans = [(int(found.frames[first]), int(found.frames[last])) for first, last in grasps]
+    return [span for span, (a, b) in zip(spans, grasps, strict=True) if found.grasped[a : b + 1].any()]

@@ -1,8 +1,8 @@
-"""Fits of the object to the hand: while a hand moves the object, one motion in the hand explains its masks.
+"""Fits of the object to the hand: while a hand moves the object, one motion in the hand explains the masks.
 
-Each fit is made in some frames, by the usual search, and then tried in the surrounding frames with its shared
-parameters fixed. Its misfit to the masks there, and its deviations from its own motion, show whether the object was
-grasped in the same way before and after.
+Each fit is searched in some frames and then extended, with its shared parameters fixed, to the frames around them. Its
+misfit to the masks in these, and its deviations from its own motion, show whether the same grasp began earlier or ended
+later.
 """
 
 from __future__ import annotations
@@ -27,25 +27,26 @@ from getagrip.fitting.stages.remaining_frames import fit_frame_parameters
 
 HINGE_FIT_METHOD = "soft-hinge"
 TRIAL_BATCH_FRAMES = 30
-"""Number of frames that are tried at once."""
+"""Number of frames to which a fit is extended at once."""
 
 
 class NothingToFitError(GetagripError):
-    """Frames in which nothing of the object is seen."""
+    """Frames in which the object cannot be fitted: its masks are empty, or it cannot be rendered."""
 
 
 @dataclass(frozen=True)
 class HingeFit:
-    """One way to hold the object.
+    """A motion of the object in one hand, fitted in some frames and extended to more.
 
     Attributes:
-        frames: (n,) the frames in which it was tried, rising: those of the fit, and around them.
-        T_cam_obj: (n, 4, 4) where it has the object in them.
-        T_cam_hand: (n, 4, 4) where it has the hand.
-        misfit: (n,) mean distance of its contour from the mask's [px of the image], deviations from its own motion
-            included; NaN where no mask shows the object.
-        expected: (n,) the misfit of a right fit to perfect masks (``fitting.stages.mesh_deformation``) [px].
-        scale: of the object.
+        frames: (n,) frames of the fit and of its extension, ascending.
+        T_cam_obj: (n, 4, 4) poses of the object.
+        T_cam_hand: (n, 4, 4) poses of the hand.
+        misfit: (n,) mean distance of contours to the mask's, deviations from the fit's motion included [image px]; NaN
+            where no mask shows the object.
+        expected: (n,) misfit of a right fit to perfect masks (``fitting.stages.mesh_deformation``) [image px].
+        scale: scale of the object.
+        side: side of the hand.
     """
 
     frames: Int[ndarray, "n"]
@@ -55,16 +56,15 @@ class HingeFit:
     expected: Float[ndarray, "n"]
     scale: float
     side: Side
-    """Whose hand it is."""
 
 
 def fit_hinge(
     clip: Clip, masks: Masks, frames: Int[ndarray, "n"], around: Int[ndarray, "m"], options: Options
 ) -> HingeFit:
-    """Fit the object in some frames, and try the best fit in those ``around``, which are to include them.
+    """Fit the object in ``frames``, and extend the best fit to the frames ``around``, which include them.
 
-    Raises ``NothingToFitError`` where fewer than two masks show the object, or where it cannot be rendered, and
-    ``InputError`` for initial poses as ``prepare_problem`` does.
+    Raises ``NothingToFitError`` where fewer than two masks show the object or it cannot be rendered, and ``InputError``
+    for initial poses as ``prepare_problem`` does.
     """
     observed = masks.observed
     if observed[frames].sum() < 2:
@@ -90,15 +90,14 @@ def fit_hinge(
     for t in np.setdiff1d(np.arange(n), seen):
         T_hand_obj[t] = T_hand_obj[seen[np.argmin(np.abs(seen - t))]]
     T_cam_hand = part.hand.T_cam_hand
-    return HingeFit(
-        around, T_cam_hand @ T_hand_obj, T_cam_hand, misfit, expected, float(found.poses.scale[0]), clip.side
-    )
+    scale = float(found.poses.scale[0])
+    return HingeFit(around, T_cam_hand @ T_hand_obj, T_cam_hand, misfit, expected, scale, clip.side)
 
 
 def _evaluate_fit(
     problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], index: Int[ndarray, "m"]
 ) -> tuple[Float[ndarray, "m 4 4"], Float[ndarray, "m"]]:
-    """Poses in the hand in the problem's frames, and their misfit [px of the image]."""
+    """Evaluate a fit in the problem's frames: poses in the hand, and misfit to the masks [image px]."""
     motion = fit_frame_parameters(problem, found, sampled, index)
     assert found.energy_of is not None
     mask = next(term for term in found.energy_of(problem)(256, np.arange(len(index))) if term.name == "mask")
@@ -112,7 +111,7 @@ def _evaluate_fit(
 
 
 def split_runs(runs: Sequence[tuple[int, int]], longest: int, shortest: int) -> Iterator[Int[ndarray, "n"]]:
-    """Yield the frames of runs, long ones in equal parts of ``longest`` frames at most, short ones left out."""
+    """Yield the frames of runs in parts of at most ``longest`` frames; runs shorter than ``shortest`` are skipped."""
     for first, last in runs:
         n = last + 1 - first
         if n >= shortest:

@@ -1,9 +1,9 @@
-"""The object's motion in the image beyond what the camera's own motion explains.
+"""The object's motion in the image beyond that of the camera.
 
-Masks of two frames are compared where neither is hidden. Pixels that differ, over the length of the visible contour,
-are the mean displacement of the contour. Where the camera moves, the earlier mask is first taken to the later camera as
-if it lay on a plane that faces the camera. Its depth is not known: of several, the one that leaves least counts, for an
-object is still if at any depth the camera's motion explains how its mask moves.
+Masks of two frames are compared outside hidden pixels. The number of differing pixels over the length of the visible
+contour is the contour's mean displacement. Where the camera moves, the earlier mask is first warped to the later camera
+as a plane that faces the camera. Several depths of this plane are tried, and the least displacement counts: an object
+is static if the camera's motion explains its mask's motion at any depth.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
 
 RELATIVE_DEPTHS = (0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0)
-"""Depths that are tried, as shares of the hand's."""
+"""Depths of the plane, as multiples of the hand's depth."""
 MIN_VISIBLE_CONTOUR_PX = 12.0
-"""Pixels of visible contour below which a pair of frames says nothing."""
+"""Length of the visible contour below which a pair of frames is not compared [px]."""
 Window = tuple[int, int, int, int]
 """Left, top, right and bottom [px], the last two exclusive."""
 CAMERA_MOTION_TOLERANCE = 1e-4
-"""Cameras less far apart than this are one [m, and radians times 1]."""
+"""Change of the camera's pose below which it is static [m; rad]."""
 
 
 @dataclass(frozen=True)
 class ImageMotion:
-    """Displacements of the contour between frames that are close.
+    """Displacements of the contour between close frames.
 
     Attributes:
-        moved: (L, T) mean displacement from the frame l + 1 before to frame t [px]; NaN where it is not known.
-        by_camera: (L, T) displacement of the object's centre by the camera's motion [px]. What that does to the outline
-            is explained only in part.
+        moved: (L, T) mean displacement from frame t - l - 1 to frame t [px]; NaN where it is unknown.
+        by_camera: (L, T) displacement of the object's centre by the camera's motion [px]; the plane explains its effect
+            on the outline only in part.
     """
 
     moved: Float[ndarray, "L T"]
@@ -44,10 +44,10 @@ class ImageMotion:
 
     @property
     def jitter(self) -> float:
-        """Distance between contours of two masks that no motion explains [px], from the data themselves.
+        """Distance between the contours of two masks without any motion [px]; 0 where it is unknown.
 
-        Motion grows with the time between two frames, jitter of masks does not: ``m_1^2 = j^2 + v^2`` and
-        ``m_L^2 = j^2 + (L v)^2`` in the median frame. 0 where it is not known.
+        Motion grows with the time between two frames, jitter does not: ``m_1^2 = j^2 + v^2`` and
+        ``m_L^2 = j^2 + (L v)^2`` in the median frame.
         """
         L = self.lags
         if L < 2 or np.isnan(self.moved[L - 1]).all():
@@ -57,14 +57,14 @@ class ImageMotion:
 
     @property
     def lags(self) -> int:
-        """The most frames that two compared ones are apart."""
+        """Maximum number of frames between two compared ones."""
         return len(self.moved)
 
 
 def image_motion(clip: Clip, masks: Masks, lags: int) -> ImageMotion:
     """Measure the object's motion in the image over 1 to ``lags`` frames.
 
-    Without ``clip.world`` the camera is taken to stand still.
+    Without ``clip.world`` the camera is assumed to be static.
     """
     T = len(clip)
     moved, by_camera = np.full((lags, T), np.nan), np.zeros((lags, T))
@@ -80,9 +80,8 @@ def image_motion(clip: Clip, masks: Masks, lags: int) -> ImageMotion:
             window = _enlarged_window(boxes[[s, t]], clip.size)
             homographies = _homographies(clip, s, t, depth)
             moved[lag - 1, t] = min(_count_differing_pixels(masks, s, t, H, window) / length for H in homographies)
-            by_camera[lag - 1, t] = _displacement(
-                homographies[len(homographies) // 2], (boxes[s, :2] + boxes[s, 2:]) / 2.0
-            )
+            middle = (boxes[s, :2] + boxes[s, 2:]) / 2.0
+            by_camera[lag - 1, t] = _displacement(homographies[len(homographies) // 2], middle)
     return ImageMotion(moved, by_camera)
 
 
@@ -95,12 +94,12 @@ def visible_contour(object_: Bool[ndarray, "H W"], ignore: Bool[ndarray, "H W"])
     mask, outside = object_[box], ~(object_[box] | ignore[box])
     across = (mask[:, 1:] & outside[:, :-1]) | (mask[:, :-1] & outside[:, 1:])
     down = (mask[1:] & outside[:-1]) | (mask[:-1] & outside[1:])
-    # A line at any angle crosses 4 / pi as many borders of pixels as it is long, on average.
+    # On average a line crosses 4 / pi as many pixel borders as its length.
     return float(across.sum() + down.sum()) * np.pi / 4.0
 
 
 def _enlarged_window(boxes: Int[ndarray, "n 4"], size: tuple[int, int]) -> Window:
-    """Return a window around boxes, half as large again on each side."""
+    """Return the window around boxes, enlarged by half their size on each side, within the image."""
     low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
     edge = (high - low) // 2
     (left, top), (right, bottom) = np.maximum(low - edge, 0), np.minimum(high + edge, size)
@@ -108,7 +107,7 @@ def _enlarged_window(boxes: Int[ndarray, "n 4"], size: tuple[int, int]) -> Windo
 
 
 def _homographies(clip: Clip, s: int, t: int, depth: float) -> list[Float[ndarray, "3 3"] | None]:
-    """How the image of a still, flat thing moves from frame s to frame t, at each depth; None: not at all."""
+    """Homographies of a static plane from frame s to frame t, for each depth; None for the identity."""
     same = np.array_equal(clip.K[s], clip.K[t])
     if clip.world is None:
         return [None] if same else [clip.K[t] @ np.linalg.inv(clip.K[s])]
@@ -121,7 +120,6 @@ def _homographies(clip: Clip, s: int, t: int, depth: float) -> list[Float[ndarra
 
 
 def _displacement(H: Float[ndarray, "3 3"] | None, uv: Float[ndarray, "2"]) -> float:
-    """Return how far a homography moves a point [px]."""
     if H is None:
         return 0.0
     x, y, w = H @ [*uv, 1.0]
@@ -129,14 +127,14 @@ def _displacement(H: Float[ndarray, "3 3"] | None, uv: Float[ndarray, "2"]) -> f
 
 
 def _count_differing_pixels(masks: Masks, s: int, t: int, H: Float[ndarray, "3 3"] | None, window: Window) -> float:
-    """Pixels of a window in which two masks differ and neither is hidden, the first one moved by a homography."""
+    """Count the pixels of a window in which two masks differ and none is hidden; the first is warped by H."""
     left, top, right, bottom = window
     box = slice(top, bottom), slice(left, right)
     if H is None:
         earlier, hidden = masks.object[s][box], masks.ignore[s][box]
     else:
         labels = (masks.ignore[s] * np.uint8(2)) | masks.object[s].astype(np.uint8)
-        # OpenCV counts from the centre of the first pixel, this package from its corner.
+        # OpenCV's origin is the centre of the first pixel, this package's its corner.
         into = np.array([[1.0, 0.0, -0.5 - left], [0.0, 1.0, -0.5 - top], [0.0, 0.0, 1.0]])
         from_centre = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
         size = right - left, bottom - top

@@ -1,4 +1,4 @@
-"""Clips from an uncut clip's segments: all of it as one timeline, or each stable grasp by itself."""
+"""Clips from an uncut clip's segments: the whole clip as a timeline, or one clip per stable grasp."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from getagrip.timelines.detect.detect_segments import STATIC_CAMERA_NOTE, Detect
 
 
 def detected_segment_list(clip: Clip, found: DetectedSegments) -> SegmentList:
-    """Return the segments and their source."""
+    """Return the segments with their provenance."""
     least = min(one.margin for one in found.segments)
     source = f"found in masks and hands, each at least {least:.0f} nats before the next best"
     still = STATIC_CAMERA_NOTE if clip.world is None else None
@@ -29,24 +29,22 @@ def detected_segment_list(clip: Clip, found: DetectedSegments) -> SegmentList:
 
 
 def write_timeline(clip: Clip, masks: Masks, found: DetectedSegments, folder: Path) -> list[Path]:
-    """Write the whole clip with its segments into ``folder/<clip>``, and return this folder, in a list.
+    """Write the whole clip with its segments into ``folder/<clip>``; return this folder, in a list.
 
-    Images are copied where the clip's folder has them. The folder of an earlier call is replaced.
+    Images of the clip's folder are copied. The folder of an earlier call is replaced.
     """
     whole = add_segments(clip, detected_segment_list(clip, found))
     return [_write_clip_part(whole, masks, clip, np.arange(len(clip)), folder / clip.name)]
 
 
 def write_grasps(clip: Clip, masks: Masks, found: DetectedSegments, folder: Path) -> list[Path]:
-    """Write each stable grasp into ``folder/<clip>--<n>``, n from 1, and return these folders.
+    """Write each stable grasp into ``folder/<clip>--<n>``, n from 1; return these folders.
 
-    Images are copied where the clip's folder has them. Folders of an earlier call are replaced.
+    Images of the clip's folder are copied. Folders of an earlier call are replaced.
     """
     grasps = [one for one in found.segments if one.segment.state == "grasp"]
-    return [
-        _write_grasp(clip, masks, found, one, folder / f"{clip.name}{CLIP_NAME_SEPARATOR}{n}")
-        for n, one in enumerate(grasps, 1)
-    ]
+    stem = f"{clip.name}{CLIP_NAME_SEPARATOR}"
+    return [_write_grasp(clip, masks, found, one, folder / f"{stem}{n}") for n, one in enumerate(grasps, 1)]
 
 
 def _write_grasp(clip: Clip, masks: Masks, found: DetectedSegments, one: DetectedSegment, folder: Path) -> Path:
@@ -67,7 +65,6 @@ def _write_grasp(clip: Clip, masks: Masks, found: DetectedSegments, one: Detecte
 
 
 def _write_clip_part(part: Clip, masks: Masks, clip: Clip, rows: Int[ndarray, "n"], folder: Path) -> Path:
-    """Write some frames of a clip as a clip of their own."""
     images = [clip.image_file(int(n)) for n in rows]
     with files.new_folder(folder, ("clip.json",) if folder.exists() else ()) as new:
         write_clip_contents(new, part, masks, None)

@@ -1,19 +1,17 @@
-"""DexYCB (Chao et al., CVPR 2021): every stable grasp, as a clip with true poses and a hand fitted to the true joints.
+"""DexYCB (Chao et al., CVPR 2021): stable grasps or whole timelines, with true poses and a hand fitted to true joints.
 
 DexYCB's hands are MANO's, which only licensed users have. Its 21 joints are free numbers, so the generic hand is fitted
 to them, with one shape over a sequence. Masks are rendered from the true poses; no image is read.
 
-DexYCB's sequences whole, as timelines: an object lies on the table, is taken, lifted, and held at the end.
-
-The camera stands still. Where no calibration says how it stands to the table, the table is fitted to where the objects
-of the subject's other sequences lie at first: the camera is the same in all of them.
+In a timeline an object lies on the table, is taken, lifted, and grasped until the end, before a static camera. Without
+a calibration of the table, the table is fitted to the objects in the first frames of the subject's other sequences,
+which have the same camera.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from collections.abc import Sequence as AnyOf
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -33,7 +31,6 @@ from getagrip.metrics.contact import signed_distance
 from getagrip.readers.datasets import mano_tracks, track_files
 from getagrip.readers.datasets.cutting import CutSource, TrackedDataset, clip_of_track
 from getagrip.readers.datasets.dataset import Note, Part
-from getagrip.readers.datasets.dexycb import dexycb_files as files
 from getagrip.readers.datasets.dexycb.dexycb_files import (
     DEXYCB_IMAGE_SIZE_PX,
     DexYcbRecording,
@@ -41,7 +38,7 @@ from getagrip.readers.datasets.dexycb.dexycb_files import (
     find_dexycb_sequences,
 )
 from getagrip.readers.datasets.track_files import describe_fit
-from getagrip.readers.datasets.tracks import SequenceSource, Track, TrackPiece
+from getagrip.readers.datasets.tracks import GRASPS_WITHIN_10_MM, SequenceSource, Track, TrackPiece
 from getagrip.stable_grasps.definition import MIN_GRASP_FRAMES, Definition, GraspOptions
 from getagrip.stable_grasps.grasp_lists import CLIP_NAME_SEPARATOR
 from getagrip.stable_grasps.segment_states import true_segments
@@ -50,40 +47,32 @@ if TYPE_CHECKING:
     from getagrip.geometry.rasterize import Surface
 
 MIN_TABLE_SEQUENCES = 3
-"""Sequences whose objects lie on a plane; fewer do not show it."""
+"""Minimum number of objects to which a table is fitted."""
 INITIAL_UP_DIRECTION = np.array([0.0, -0.8, -0.6])
-"""Up as a camera sees it that looks down at a table by about 37 degrees; only a start."""
+"""Initial up direction of the plane fit, for a camera that looks down at the table by about 37 degrees."""
 TABLE_CONTACT_TOLERANCE_M = 0.003
-"""Points of an object this near to its lowest one lie on the plane [m]."""
+"""Maximum height of a contact point above an object's lowest point [m]."""
 TABLE_OUTLIER_SCALE_M = 0.01
-"""An object whose lowest point is this far from the plane counts half [m]: it lies on another, or its pose is wrong."""
+"""Distance of an object's lowest point from the plane at which its weight is half [m]: it lies on another object, or
+its pose is wrong."""
 N_PLANE_FIT_ITERATIONS = 30
 
 
-def add_table_pose(sequences: Sequence[files.UnreadSequence], models: Path) -> list[files.UnreadSequence]:
-    """Add to the sequences' recordings the camera in the world, with the table at height 0."""
-    of_subject = defaultdict(list)
+def add_table_pose(sequences: Sequence[UnreadSequence], models: Path) -> list[UnreadSequence]:
+    """Add the camera's pose in the table's world, with the table at height 0, to the sequences' recordings."""
+    by_subject = defaultdict(list)
     for sequence in sequences:
-        of_subject[_subject_of_sequence(sequence)].append(sequence)
-    return [
-        files.UnreadSequence(
-            s.name,
-            partial(
-                _read_with_table, s, [other for other in of_subject[_subject_of_sequence(s)] if other is not s], models
-            ),
-        )
-        for s in sequences
-    ]
+        by_subject[sequence.name.partition("/")[0]].append(sequence)
+
+    def with_table(sequence: UnreadSequence) -> UnreadSequence:
+        others = [other for other in by_subject[sequence.name.partition("/")[0]] if other is not sequence]
+        return UnreadSequence(sequence.name, partial(_read_with_table, sequence, others, models))
+
+    return [with_table(sequence) for sequence in sequences]
 
 
-def _subject_of_sequence(sequence: files.UnreadSequence) -> str:
-    return sequence.name.partition("/")[0]
-
-
-def _read_with_table(
-    sequence: files.UnreadSequence, others: Sequence[files.UnreadSequence], models: Path
-) -> files.DexYcbRecording:
-    """Read a recording with its table; where there is none, its world is the camera's own frame."""
+def _read_with_table(sequence: UnreadSequence, others: Sequence[UnreadSequence], models: Path) -> DexYcbRecording:
+    """Read a recording with its table; without a table, the camera frame is the world frame."""
     recording = sequence.read()
     if recording.T_table_cam is not None:
         return recording
@@ -93,12 +82,11 @@ def _read_with_table(
     return replace(recording, T_table_cam=world_of_plane(*support_plane(resting)))
 
 
-def _first_frame_vertices(recording: files.DexYcbRecording, models: Path) -> np.ndarray:
-    """Return the grasped object's vertices in the first frame in which it is known (V, 3) [m]."""
+def _first_frame_vertices(recording: DexYcbRecording, models: Path) -> np.ndarray:
+    """Return the grasped object's vertices in its first known frame (V, 3) [m]."""
     poses = recording.objects[recording.grasped]
-    return se3.transform(
-        poses.T_cam_obj[int(np.argmax(poses.known))], mano_tracks.read_ycb_mesh(models, recording.grasped).vertices
-    )
+    vertices = mano_tracks.read_ycb_mesh(models, recording.grasped).vertices
+    return se3.transform(poses.T_cam_obj[int(np.argmax(poses.known))], vertices)
 
 
 def dexycb_timeline_pieces(tracks: Iterable[Track], note: Note, definition: Definition) -> Iterator[TrackPiece]:
@@ -110,16 +98,15 @@ def dexycb_timeline_pieces(tracks: Iterable[Track], note: Note, definition: Defi
         segments = true_segments(clip_of_track(placed), definition)
         if not any(segment.state == "static" for segment in segments):
             note(f"{track.name}: the object is never static")
-        yield TrackPiece(
-            placed, track.name, "a timeline: static, contact and grasp by the true poses", segments=segments
-        )
+        made_of = "a timeline: static, contact and grasp by the true poses"
+        yield TrackPiece(placed, track.name, made_of, segments=segments)
 
 
 def support_plane(resting: Sequence[Float[ndarray, "_ 3"]]) -> tuple[Float[ndarray, "3"], float]:
-    """Fit the plane on which objects rest to their posed vertices [m]: unit normal, up, and height along it.
+    """Fit the plane on which objects rest to their posed vertices [m]; return its unit normal, up, and its height.
 
-    Least squares over their lowest points, which depend on the plane: a few rounds of it. Each object counts as one,
-    and less where it seems to rest on something else (Cauchy's weights).
+    Iterated least squares over the objects' lowest points, which depend on the plane. Each object has the same weight,
+    less where it seems to rest on something else (Cauchy's weights).
     """
     up = INITIAL_UP_DIRECTION
     for _ in range(N_PLANE_FIT_ITERATIONS):
@@ -136,14 +123,13 @@ def support_plane(resting: Sequence[Float[ndarray, "_ 3"]]) -> tuple[Float[ndarr
 
 
 def world_of_plane(up: Float[ndarray, "3"], height: float) -> Float[ndarray, "4 4"]:
-    """Return ``T_world_cam`` of a world whose z axis is up, the plane at z = 0, the camera above its origin."""
+    """Return ``T_world_cam`` for a world with z up, the plane at z = 0 and the camera above the origin."""
     x = np.cross([0.0, 1.0, 0.0], up)
     x /= np.linalg.norm(x)
     R = np.stack([x, np.cross(up, x), up])
     return se3.rigid(R, np.array([0.0, 0.0, -height]))
 
 
-GRASPS_WITHIN_10_MM = GraspOptions(contact_mm=10.0)
 DEXYCB_FPS = 30.0
 
 
@@ -171,11 +157,8 @@ class DexYcb(TrackedDataset):
             found = add_table_pose(found, models)
         return [SequenceSource(s.name, partial(_read_dexycb_tracks, s, models, self.whole, shortest)) for s in found]
 
-    def parts(self, note: Note) -> AnyOf[Part]:
-        """List its sequences, cut to stable grasps, or whole.
-
-        Raises ``UsageError`` for options that exclude each other.
-        """
+    def parts(self, note: Note) -> Sequence[Part]:
+        """List the sequences, cut to stable grasps, or whole. Raises ``UsageError`` for conflicting options."""
         if not self.timelines:
             return super().parts(note)
         if self.whole or self.grasps.listed is not None:
@@ -185,7 +168,7 @@ class DexYcb(TrackedDataset):
         return [CutSource(source, of, definition.shortest) for source in self.sources()]
 
     def cut_record(self) -> dict[str, object] | None:
-        """Return the record of how its clips are cut; None where they are whole."""
+        """Return the record of how clips are cut; None for whole sequences."""
         return None if self.timelines else super().cut_record()
 
 
@@ -195,23 +178,22 @@ class FittedRecordingHand:
 
     track: HandTrack
     frames: Int[ndarray, "T"]
-    """The frames."""
     residuals: Float[ndarray, "T 21"]
-    """Distances of its joints from the true ones [m]."""
+    """Distances of the hand's joints from the true joints [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FittedTrack(Track):
-    """A track of DexYCB that says how well its hand fits; its clips are named without the side."""
+    """A track of DexYCB with its hand's fit residuals; its clips are named without the side."""
 
     residuals: Float[ndarray, "_ 21"]
-    """Distances of the hand's joints from the true ones [m]."""
+    """Distances of the hand's joints from the true joints [m]."""
     others: bool
     """True if other objects are on the table."""
 
     @property
     def name(self) -> str:
-        """Name of its clips, without the count."""
+        """Name of the track's clips, without their number."""
         return CLIP_NAME_SEPARATOR.join([self.subject, self.sequence, self.category])
 
     def take(self, index: Int[ndarray, "n"]) -> Self:
@@ -219,7 +201,7 @@ class FittedTrack(Track):
         return replace(super().take(index), residuals=self.residuals[index])
 
     def describe(self, piece: TrackPiece) -> dict[str, object]:
-        """Return the provenance of a piece's clip, with the limits of its hand."""
+        """Return the provenance of a piece's clip, with the residuals and the contact of the fitted hand."""
         first, last = piece.track.numbers[[0, -1]]
         depth = self.hand_depth()
         pads = [np.median(depth[:, self.hand.regions[finger]].min(axis=1)) for finger in FINGERS]
@@ -249,16 +231,13 @@ class FittedTrack(Track):
 
 
 def _read_dexycb_tracks(sequence: UnreadSequence, models: Path, whole: bool, shortest: int, note: Note) -> list[Track]:
-    """Return the one track of a sequence; none where the hand is hardly ever known. Raises ``InputError``."""
+    """Return the track of a sequence; none with fewer than ``shortest`` known hands. Raises ``InputError``."""
     recording = sequence.read()
     if np.count_nonzero(recording.hand_known) < shortest:
         note(f"{sequence.name}: the hand is known in fewer than {shortest} frames: skipped")
         return []
-    mesh, hand, poses = (
-        mano_tracks.read_ycb_mesh(models, recording.grasped),
-        fit_recording_hand(recording),
-        recording.objects[recording.grasped],
-    )
+    mesh, hand = mano_tracks.read_ycb_mesh(models, recording.grasped), fit_recording_hand(recording)
+    poses = recording.objects[recording.grasped]
     track = Track(
         file=recording.file,
         subject=recording.subject,
@@ -305,10 +284,7 @@ def _render_dexycb_masks(recording: DexYcbRecording, hand: FittedRecordingHand, 
 
 
 def fit_recording_hand(recording: DexYcbRecording) -> FittedRecordingHand:
-    """Fit the generic hand in every frame that has joints, with one shape.
-
-    Raises ``InputError`` where they are no hand's.
-    """
+    """Fit the generic hand in every frame with joints, with one shape. Raises ``InputError`` for impossible joints."""
     joints = recording.joints[recording.hand_known]
     fitted = track_files.fit_hand(recording.file, recording.sequence, recording.side, joints)
     return FittedRecordingHand(fitted.track, np.flatnonzero(recording.hand_known), fitted.residuals)

@@ -1,6 +1,6 @@
-"""The clip of a grasp of EPIC-Grasps: VISOR's masks at some of its frames, its camera, and hands from a file.
+"""The clip of a grasp of EPIC-Grasps: VISOR's masks in some frames, the video's camera, and hands from a file.
 
-No pose is true here, and no object's own mesh is known: the mesh is its category's, its scale free.
+Without ground truth and without the object's own mesh: the mesh is a template of the category, its scale free.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from getagrip.provenance import (
     provenance_from_arrays,
 )
 from getagrip.readers import streams
+from getagrip.readers.datasets.cutting import MIN_VISIBLE_PIXELS
 from getagrip.readers.datasets.dataset import Note
 from getagrip.readers.datasets.epic import visor
 from getagrip.readers.datasets.epic.epic_images import EPIC_WORLD_UP
@@ -42,16 +43,14 @@ from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
 EPIC_IMAGE_SIZE_PX = visor.DENSE_IMAGE_SIZE_PX
 """Width and height of the clips' images [px]: those of VISOR's dense annotations."""
 MAX_EPIC_CLIP_FRAMES = 30
-"""The most frames that a clip has, spread evenly over those that are valid (as the paper's)."""
+"""Maximum number of frames of a clip, spread evenly over the valid frames (as in the paper)."""
 MIN_VALID_FRAMES = 2
-"""Valid frames below which a grasp is skipped: one silhouette says nothing about a motion."""
-MIN_VISIBLE_PIXELS = 25
-"""Pixels of the smallest mask that counts as visible."""
+"""Minimum number of valid frames of a grasp: one silhouette does not show a motion."""
 FOCAL_TO_WIDTH_RATIO = 200.0 / 640.0
-"""Focal length over the image's width: what HOMan takes for EPIC-KITCHENS. A guess."""
+"""Assumed ratio of focal length to image width, HOMan's for EPIC-KITCHENS."""
 BACKGROUND_CLASS_IDS = frozenset({8, 12, 24, 42, 46, 63, 70, 90, 113, 124, 157, 159, 182, 242, 247, 263, 295})
-"""Noun classes of what stands behind things and seldom before them: drawer, fridge, hob, worktop, oven, sink,
-dishwasher, microwave, freezer, washing machine, kitchen, floor, chair, wall, shelf, window, door."""
+"""Noun classes that rarely occlude: drawer, fridge, hob, worktop, oven, sink, dishwasher, microwave, freezer, washing
+machine, kitchen, floor, chair, wall, shelf, window, door."""
 
 VisorFrames = dict[int, visor.VisorFrame]
 """VISOR's frames by EPIC's frame numbers."""
@@ -59,13 +58,13 @@ VisorFrames = dict[int, visor.VisorFrame]
 
 @dataclass(frozen=True)
 class EpicHandFile:
-    """A ``hand.npz`` that perhaps says which frames and which camera it belongs to; the hands are yet to be read."""
+    """A ``hand.npz``, with optional frames and camera; its hands are read by ``track``."""
 
     path: Path
     frames: tuple[int, ...] | None
-    """EPIC's frame numbers, where the file has them (``frames``); else its hands are those of the clip's frames."""
+    """EPIC's frame numbers (``frames``); None if the hands are of the clip's frames."""
     K: Float[ndarray, "3 3"] | None
-    """The camera that the estimator took, in pixels of 854 x 480, where the file has it (``K``)."""
+    """The estimator's intrinsics [px of 854 x 480]; None if not stated."""
     camera: Source
     """Source of ``K``."""
 
@@ -74,7 +73,7 @@ class EpicHandFile:
         return self.frames is None or number in self.frames
 
     def track(self, chosen: Sequence[int]) -> HandTrack:
-        """Return the hand in some of the frames that it has. Raises ``InputError``."""
+        """Read the hand in some of the file's frames. Raises ``InputError``."""
         if self.frames is None:
             return read_hand(self.path, len(chosen))
         track = read_hand(self.path, len(self.frames))
@@ -86,14 +85,13 @@ class EpicCamera:
     """The camera of a video."""
 
     K: Float[ndarray, "3 3"]
-    """In pixels of 854 x 480."""
+    """Intrinsics [px of 854 x 480]."""
     source: Source
-    """Source of the camera."""
     T_world_cam: Mapping[int, Float[ndarray, "4 4"]] | None = None
-    """Camera poses by EPIC's frame numbers, in a metric world whose z points up; None where they are not known."""
+    """Camera poses by EPIC's frame numbers, in a metric world with z up; None if unknown."""
 
     def sees(self, number: int) -> bool:
-        """Return whether a frame can be used: where the camera moves in a known world, only if its pose is known."""
+        """Return whether a frame can be used: with camera poses, only frames with a pose."""
         return self.T_world_cam is None or number in self.T_world_cam
 
     def world(self, numbers: Sequence[int]) -> World | None:
@@ -106,11 +104,9 @@ class EpicCamera:
 def collect_grasp_frames(
     files: Sequence[Path], mapping: visor.FrameMapping, grasps: Sequence[EpicGrasp]
 ) -> dict[str, VisorFrames]:
-    """Collect VISOR's frames within each grasp, by the grasp's name, that show its object.
+    """Collect VISOR's frames that show the object of each grasp, by the grasp's name. Raises ``InputError``.
 
-    Raises ``InputError``.
-
-    Where a frame is annotated more than once, people's annotations come before interpolated ones, then the fullest.
+    Of several annotations of a frame, people's take precedence over interpolated ones, then the most complete one.
     """
     out: dict[str, VisorFrames] = {grasp.name: {} for grasp in grasps}
     for path in files:
@@ -133,11 +129,10 @@ def _annotation_rank(frame: visor.VisorFrame) -> tuple[bool, int]:
 
 
 def visor_frame_masks(frame: visor.VisorFrame, grasp: EpicGrasp) -> FrameMasks:
-    """Return the masks of a frame: the object, the pixels that say nothing about it, and the grasping hand.
+    """Draw the masks of a frame: the object, the ignored pixels, and the grasping hand.
 
-    Ignored are both hands, gloves and other objects; the hand's mask includes the glove that it wears. Where the
-    object's polygons lie over others' they take precedence. What stands behind things is not ignored. A pair of gloves
-    in one mask is neither hand's.
+    Both hands, gloves and other objects are ignored, except for ``BACKGROUND_CLASS_IDS``; the hand's mask includes its
+    glove, but not a pair of gloves in one mask. The object's polygons take precedence over others.
     """
 
     def drawn(chosen: Iterable[visor.Annotation]) -> Bool[ndarray, "H W"]:
@@ -161,20 +156,19 @@ def make_epic_clip(
     note: Note,
     segments: Sequence[Segment] = (),
 ) -> tuple[Clip, Masks] | None:
-    """Make the clip of a grasp and its masks, at up to ``MAX_EPIC_CLIP_FRAMES`` of its valid frames.
+    """Make the clip of a grasp and its masks; None, after a note, with too few valid frames.
 
-    With too few there is none, and a note. Valid are frames with a mask of the object and, where the hand file says
-    which frames it has, with a hand. Where these are fewer than ``MAX_EPIC_CLIP_FRAMES``, frames with a mask alone are added: their
-    hands may come later. The clip's hand has no vertices: ``read_grasp_hand`` reads them.
+    Valid frames have a mask of the object and, if the hand file states its frames, a hand. A clip has at most
+    ``MAX_EPIC_CLIP_FRAMES`` of them; with fewer, frames with a mask alone are added, whose hands may come later.
+    The clip's hand has no vertices: ``read_grasp_hand`` reads them.
     """
     masks = {number: visor_frame_masks(frame, grasp) for number, frame in sorted(frames.items()) if camera.sees(number)}
     valid = [number for number, mask in masks.items() if np.count_nonzero(mask.object) >= MIN_VISIBLE_PIXELS]
     masked, valid = valid, [number for number in valid if hands is None or hands.has(number)]
     if len(valid) < MIN_VALID_FRAMES:
         what = "a mask" if hands is None or hands.frames is None else "a mask and a hand"
-        note(
-            f"{grasp.name}: {len(valid)} of its {grasp.frames} frames have {what} of {shorten_value(grasp.entity)}: skipped"
-        )
+        of = f"of {shorten_value(grasp.entity)}"
+        note(f"{grasp.name}: {len(valid)} of its {grasp.frames} frames have {what} {of}: skipped")
         return None
     spans = [(s.first, s.last) for s in segments] or [(grasp.start, grasp.end)]
     chosen = sorted({number for span in spans for number in _choose_frames(valid, masked, span)})
@@ -209,7 +203,6 @@ def make_epic_clip(
 
 
 def _choose_frames(valid: Sequence[int], masked: Sequence[int], span: tuple[int, int]) -> list[int]:
-    """Choose the frames of a span that a clip has."""
     first, last = span
     known = [number for number in valid if first <= number <= last]
     others = [number for number in masked if first <= number <= last and number not in known]
@@ -218,15 +211,11 @@ def _choose_frames(valid: Sequence[int], masked: Sequence[int], span: tuple[int,
 
 
 def _spread_evenly(numbers: Sequence[int], count: int) -> list[int]:
-    """Choose at most ``count`` of the numbers, spread evenly."""
     return [numbers[i] for i in np.round(np.linspace(0, len(numbers) - 1, min(count, len(numbers)))).astype(int)]
 
 
 def read_grasp_hand(path: Path, clip: Clip) -> tuple[HandTrack, list[int]]:
-    """Read the hand of a clip from its hand file, and the rows of the clip's frames that have it.
-
-    Raises ``InputError``.
-    """
+    """Read the hand of a clip from its hand file, and the indices of its frames. Raises ``InputError``."""
     hands, numbers = read_epic_hand_file(path), [int(name) for name in clip.frames]
     rows = [row for row, number in enumerate(numbers) if hands.has(number)]
     return hands.track([numbers[row] for row in rows]), rows
@@ -263,10 +252,7 @@ def _epic_provenance(
 
 
 def read_epic_hand_file(path: Path) -> EpicHandFile:
-    """Read a hand file: a ``hand.npz`` that may have ``frames`` (N,) and ``K`` (3, 3) as well.
-
-    Raises ``InputError``.
-    """
+    """Read a ``hand.npz`` with optional ``frames`` (N,) and ``K`` (3, 3). Raises ``InputError``."""
     stored = arrays.read(path, lambda key: key in {"frames", "K"} or is_provenance_key(key))
     K = None
     if "K" in stored:
@@ -278,7 +264,7 @@ def read_epic_hand_file(path: Path) -> EpicHandFile:
 
 
 def epic_pinhole(focal: float | None = None) -> EpicCamera:
-    """Make a pinhole, its principal point in the middle; without a focal length [px of 854 x 480], one is assumed."""
+    """Make a pinhole with a central principal point and a focal length [px of 854 x 480], assumed by default."""
     f = FOCAL_TO_WIDTH_RATIO * EPIC_IMAGE_SIZE_PX[0] if focal is None else focal
     K = np.array([[f, 0.0, EPIC_IMAGE_SIZE_PX[0] / 2], [0.0, f, EPIC_IMAGE_SIZE_PX[1] / 2], [0.0, 0.0, 1.0]])
     guess = assumed(f"a guess: the focal length {f:g} px, which HOMan takes for EPIC-KITCHENS")
@@ -286,11 +272,9 @@ def epic_pinhole(focal: float | None = None) -> EpicCamera:
 
 
 def read_epic_camera(path: Path) -> EpicCamera:
-    """Read the camera of a video from EPIC-Fields (``<video>.json``), without its distortion.
+    """Read the camera of a video from EPIC-Fields (``<video>.json``), without distortion. Raises ``InputError``.
 
-    Raises ``InputError``.
-
-    The principal point is put into the middle, as the authors of EPIC-Grasps do.
+    The principal point is set to the centre, as by the authors of EPIC-Grasps.
     """
     camera = streams.read_json_member(path, "camera")
     size = [camera.get("width"), camera.get("height")]
@@ -298,14 +282,11 @@ def read_epic_camera(path: Path) -> EpicCamera:
     if not all(isinstance(side, int) and 0 < side < 10_000 for side in size):
         raise InputError(path, "camera", f"the size {shorten_value(size)}", "width and height in pixels")
     if camera.get("model") not in ("OPENCV", "PINHOLE", "FULL_OPENCV") or not isinstance(params, list):
-        raise InputError(
-            path, "camera.model", shorten_value(camera.get("model")), "OPENCV, with fx, fy, cx, cy, ... in params"
-        )
+        expected = "OPENCV, with fx, fy, cx, cy, ... in params"
+        raise InputError(path, "camera.model", shorten_value(camera.get("model")), expected)
     focal = params[:2]
     if not all(isinstance(f, int | float) and 0 < f < 1e6 for f in focal) or len(focal) < 2:
-        raise InputError(
-            path, "camera.params", shorten_value(params), "fx, fy, cx, cy, ... in pixels, fx and fy above 0"
-        )
+        raise InputError(path, "camera.params", shorten_value(params), "fx, fy, cx, cy, ... [px], fx and fy above 0")
     K = np.diag([focal[0] * EPIC_IMAGE_SIZE_PX[0] / size[0], focal[1] * EPIC_IMAGE_SIZE_PX[1] / size[1], 1.0])
     K[:2, 2] = np.array(EPIC_IMAGE_SIZE_PX) / 2
     check_intrinsics(path, K[None], EPIC_IMAGE_SIZE_PX)
@@ -313,9 +294,9 @@ def read_epic_camera(path: Path) -> EpicCamera:
 
 
 def category_mesh(category: str, folder: Path | None) -> tuple[Mesh, str]:
-    """Read the mesh of a category and its source: ``<category>.obj`` (.ply, .stl, .glb) of a folder, or our own.
+    """Read the mesh of a category [m, z up], ``<category>.obj`` (.ply, .stl, .glb) of a folder or the built-in one.
 
-    Metres, z up. Raises ``InputError`` where the folder has none.
+    Also returns its source. Raises ``InputError`` for a folder without the mesh.
     """
     if folder is None:
         return SYNTHETIC_CATEGORIES[category](), "this package's procedural mesh of the category"

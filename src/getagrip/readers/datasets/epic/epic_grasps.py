@@ -1,6 +1,6 @@
 """EPIC-Grasps (Zhu and Damen, "Get a Grip"): stable grasps in EPIC-KITCHENS' videos, as clips with VISOR's masks.
 
-Hands come from files that an estimator has made; a clip without them lacks its ``hand.npz`` until somebody adds it.
+Hands come from an estimator's files; a clip without hands lacks its ``hand.npz`` until the user adds it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from getagrip.readers.datasets.dataset import Dataset, Draft, Missing, Note, Par
 from getagrip.readers.datasets.epic import epic_clips, epic_images, visor
 from getagrip.readers.datasets.epic.epic_images import Frames, Images, Video
 from getagrip.readers.datasets.epic.epic_tables import MAX_EPIC_TABLE_BYTES, EpicGrasp, chosen_errata, read_grasps
-from getagrip.stable_grasps import grasp_lists as lists
+from getagrip.stable_grasps.grasp_lists import parse_timeline_segments, report_backwards
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,7 @@ class EpicGrasps(Dataset):
         return read_grasps(self.csv, chosen_errata(self.csv, self.errata, self.errata_file))
 
     def parts(self, note: Note) -> Sequence[Part]:
-        """List the videos that have grasps and annotations."""
+        """List the videos with grasps and annotations."""
         images = self._images()
         self._check_camera()
         by_video: dict[str, list[EpicTimeline]] = {}
@@ -74,7 +74,7 @@ class EpicGrasps(Dataset):
         absent = [len(spans) for video, spans in by_video.items() if video not in there]
         if absent:
             of = format_count(len(absent), "video")
-            note(f"{format_count(sum(absent), 'grasp')} skipped: VISOR's files of {of} are not there")
+            note(f"{format_count(sum(absent), 'grasp')} skipped: VISOR's files of {of} are missing")
         if mapping is None:
             note(visor.NO_FRAME_MAPPING_NOTE)
         return [
@@ -84,18 +84,13 @@ class EpicGrasps(Dataset):
         ]
 
     def _timelines(self, note: Note) -> list[EpicTimeline]:
-        """List the timelines that become clips; a grasp of the table has no segments.
-
-        Raises ``UsageError`` and ``InputError``.
-        """
+        """List the timelines, one for each clip; a grasp of the table has no segments. Raises ``UsageError``."""
         if self.timelines is None:
             if self.metric is not None:
                 raise UsageError("--metric cannot be used without --timelines")
             return [EpicTimeline(grasp, ()) for grasp in self.grasps()]
         if self.cameras is None or self.metric is None:
-            raise UsageError(
-                "missing --cameras or --metric: --timelines needs both, since static segments need a world"
-            )
+            raise UsageError("missing --cameras or --metric: --timelines needs both: static segments need a world")
         found = read_timelines(self.timelines, self.grasps(), note)
         metric = [one for one in found if (self.metric / f"{one.span.video}.json").is_file()]
         if len(metric) < len(found):
@@ -103,10 +98,7 @@ class EpicGrasps(Dataset):
         return metric
 
     def _images(self) -> Callable[[str], Images]:
-        """Return a function that gives the images of each video.
-
-        Raises ``UsageError`` unless either frames or videos are given.
-        """
+        """Return the reader of each video's images. Raises ``UsageError`` unless the user names frames or videos."""
         if self.frames is not None and self.videos is None:
             return partial(Frames, self.frames)
         if self.videos is not None and self.frames is None:
@@ -114,7 +106,7 @@ class EpicGrasps(Dataset):
         raise UsageError("missing --frames or --videos: EPIC-KITCHENS' images, or its videos, not both")
 
     def _check_camera(self) -> None:
-        """Raise ``UsageError`` for options that do not go together, and for an absurd focal length."""
+        """Raise ``UsageError`` for conflicting options, and for an implausible focal length."""
         if self.cameras is not None and self.focal is not None:
             raise UsageError("--cameras cannot be used with --focal")
         width = epic_clips.EPIC_IMAGE_SIZE_PX[0]
@@ -122,7 +114,7 @@ class EpicGrasps(Dataset):
             raise UsageError(f"--focal must be in pixels of images {width} wide (got {self.focal:g})")
 
     def advice(self, made: Sequence[Mapping[str, object]], handless: int) -> Iterator[str]:
-        """Yield advice on what is assumed or missing."""
+        """Yield advice on assumed cameras and missing hands."""
         guessed = [provenance["camera"] for provenance in made if is_assumed(provenance["camera"])]
         if guessed:
             yield f"the camera of {format_count(len(guessed), 'clip')} is {guessed[0]}; name --cameras or --focal"
@@ -139,10 +131,10 @@ class VideoGrasps:
     """The grasps or timelines of one video."""
 
     name: str
-    """The video's."""
+    """Name of the video."""
     grasps: tuple[EpicTimeline, ...]
     annotations: tuple[Path, ...]
-    """VISOR's files of it."""
+    """VISOR's files of the video."""
     mapping: Path | None
     images: Images
     options: EpicGrasps
@@ -170,16 +162,15 @@ class VideoGrasps:
         mesh, source = epic_clips.category_mesh(grasp.category, self.options.cad)
         hands = None if path is None else epic_clips.read_epic_hand_file(path)
         has_mapping = self.mapping is not None
-        return epic_clips.make_epic_clip(
-            grasp, frames, mesh, source, camera, hands, has_mapping, note, timeline.segments
-        )
+        segments = timeline.segments
+        return epic_clips.make_epic_clip(grasp, frames, mesh, source, camera, hands, has_mapping, note, segments)
 
     def _hands(self, grasp: EpicGrasp) -> Path | None:
         path = None if self.options.hands is None else self.options.hands / f"{grasp.name}.npz"
         return path if path is not None and path.is_file() else None
 
     def _camera(self, wanted: range) -> epic_clips.EpicCamera:
-        """Read the camera of the video; for timelines, its poses in the frames that are ``wanted``."""
+        """Read the camera of the video; for timelines, with its poses in the ``wanted`` frames."""
         if self.options.cameras is None:
             return epic_clips.epic_pinhole(self.options.focal)
         path = self.options.cameras / f"{self.name}.json"
@@ -199,7 +190,7 @@ class EpicTimeline:
     span: EpicGrasp
     """The object and its main hand, from the first to the last frame."""
     segments: tuple[Segment, ...]
-    """By EPIC's frame numbers; they may overlap, and leave frames out."""
+    """Segments by EPIC's frame numbers, with possible overlaps and gaps."""
 
 
 def read_timelines(path: Path, grasps: Sequence[EpicGrasp], note: Note) -> list[EpicTimeline]:
@@ -208,7 +199,7 @@ def read_timelines(path: Path, grasps: Sequence[EpicGrasp], note: Note) -> list[
     try:
         listed = json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise InputError(path, "", f"text that is no JSON ({error})", "EPIC-HIT's list of timelines") from error
+        raise InputError(path, "", f"invalid JSON ({error})", "EPIC-HIT's list of timelines") from error
     if not isinstance(listed, list) or not all(isinstance(entry, dict) for entry in listed):
         raise InputError(path, "", shorten_value(listed), "a list of timelines, as epic_hit.json")
     by_film = {grasp.film: grasp for grasp in grasps if grasp.film}
@@ -217,7 +208,7 @@ def read_timelines(path: Path, grasps: Sequence[EpicGrasp], note: Note) -> list[
         timeline = _parse_epic_timeline(path, f"[{n}]", entry, by_film)
         if timeline.segments:
             found[timeline.span.name] = timeline
-    lists.report_backwards(path, listed, note)
+    report_backwards(path, listed, note)
     if len(found) < len(listed):
         note(f"{path.name}: {len(listed) - len(found)} of {len(listed)} timelines are listed twice or empty: skipped")
     return list(found.values())
@@ -232,16 +223,12 @@ def _parse_epic_timeline(
         raise InputError(path, f"{key}.mp4_name", shorten_value(film), "the mp4_name of a grasp in EPIC-Grasps' table")
     for name, value in (("vid", grasp.video), ("cat", grasp.category)):
         if entry.get(name) != value:
-            raise InputError(
-                path,
-                f"{key}.{name}",
-                shorten_value(entry.get(name)),
-                f"{value}, as of {shorten_value(film)} in the table",
-            )
+            expected = f"{value}, as of {shorten_value(film)} in the table"
+            raise InputError(path, f"{key}.{name}", shorten_value(entry.get(name)), expected)
     side = entry.get("main_side")
     if side not in ("left", "right"):
         raise InputError(path, f"{key}.main_side", shorten_value(side), "left or right")
-    segments = lists.parse_timeline_segments(path, f"{key}.segments", entry.get("segments"))
+    segments = parse_timeline_segments(path, f"{key}.segments", entry.get("segments"))
     if not segments:
         return EpicTimeline(grasp, ())
     first, last = min(s.first for s in segments), max(s.last for s in segments)

@@ -1,10 +1,9 @@
-"""The images of EPIC-KITCHENS by number, from folders or archives of frames or from its videos, at the masks' size.
+"""EPIC-KITCHENS' images by frame number, at the masks' size, and EPIC-Fields' camera poses.
 
-EPIC-Fields: where the camera of a video was in each frame, and the similarity that makes its world metric.
-
-``<video>.json`` has ``images``: a frame's name to the world-to-camera rotation as a quaternion (w, x, y, z) and
-translation, in a scale of its own. The authors of EPIC-HIT publish a similarity for each of their videos, another
-``<video>.json``: ``{"T": [[sR | t], ...]}``, into a world in metres whose gravity is -z.
+Images come from folders or archives of frames, or from the videos. EPIC-Fields' ``<video>.json`` has ``images``: by
+frame name, the world-to-camera rotation, a quaternion (w, x, y, z), and translation, in an arbitrary scale. The authors
+of EPIC-HIT publish a similarity into a metric world with gravity along -z for each of their videos, another
+``<video>.json``: ``{"T": [[sR | t], ...]}``.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import tarfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,26 +29,26 @@ from getagrip.io.images import decode_image
 from getagrip.readers import streams
 from getagrip.readers.datasets.epic.epic_tables import numbering_rate, subject_of
 from getagrip.readers.datasets.epic.visor import DENSE_IMAGE_SIZE_PX
+from getagrip.readers.video import decode_at_times
 
 if TYPE_CHECKING:
     from av import VideoFrame
 
 MAX_EPIC_IMAGE_BYTES = 16 * 2**20
-"""Limit in bytes of an image's file."""
+"""Maximum size of an image file."""
 MAX_EPIC_SIDE_PX = 4096
-"""Limit of the sides of an image [px]; EPIC's are 456 x 256, its videos 1920 x 1080."""
+"""Maximum side of an image [px]; EPIC's images are 456 x 256, its videos 1920 x 1080."""
 EPIC_VIDEO_SUFFIXES = (".MP4", ".mp4", ".mov", ".mkv")
 
 Images = Callable[[Sequence[int]], list[UInt8[ndarray, "H W 3"]]]
-"""The RGB images of frames by EPIC's numbers. Raises ``InputError``."""
+"""A function that reads the RGB images of frames by EPIC's numbers. Raises ``InputError``."""
 TAR_BLOCK_BYTES = tarfile.BLOCKSIZE
 TAR_FRAME_PATTERN = re.compile(r"(?:.*/)?frame_(\d{10})\.jpg")
-EXPECTED_TAR_ARCHIVE = "an archive of frames (.tar), not compressed"
 
 
 @dataclass(frozen=True)
 class FrameArchive:
-    """An uncompressed ``.tar`` of frames, read where they lie in it: only headers are gone through, once."""
+    """An uncompressed ``.tar`` of frames, read in place: the headers are read once."""
 
     path: Path
 
@@ -59,9 +58,8 @@ class FrameArchive:
         try:
             return dict(self._members())
         except (OSError, tarfile.TarError) as error:
-            raise InputError(
-                self.path, "", f"a file that is damaged or no archive ({error})", EXPECTED_TAR_ARCHIVE
-            ) from error
+            got = f"a damaged file, or not an archive ({error})"
+            raise InputError(self.path, "", got, "an uncompressed archive of frames (.tar)") from error
 
     def _members(self) -> Iterator[tuple[int, tuple[int, int]]]:
         length = self.path.stat().st_size
@@ -98,11 +96,7 @@ class FrameArchive:
 
 @dataclass(frozen=True)
 class Frames:
-    """EPIC-KITCHENS' frames, in its folders or in the published archives.
-
-    Folders are ``P01/rgb_frames/P01_01/frame_0000000001.jpg``, or from ``P01_01`` on; archives (``P01_01.tar``) are in
-    the same places.
-    """
+    """EPIC-KITCHENS' frames: ``[P01/[rgb_frames/]]P01_01/frame_0000000001.jpg``, or archives (``P01_01.tar``) there."""
 
     root: Path
     video: str
@@ -111,9 +105,8 @@ class Frames:
         """Read the images of some frames."""
         if not self.folder.is_dir() and self.archive is not None:
             path, archive = self.archive.path, self.archive
-            return [
-                _decode_epic_image(path, f"frame_{n:010d}.jpg", archive.read(n, MAX_EPIC_IMAGE_BYTES)) for n in numbers
-            ]
+            read = partial(archive.read, limit=MAX_EPIC_IMAGE_BYTES)
+            return [_decode_epic_image(path, f"frame_{n:010d}.jpg", read(n)) for n in numbers]
         paths = [self.folder / f"frame_{n:010d}.jpg" for n in numbers]
         return [_decode_epic_image(path, "", read_bytes(path, MAX_EPIC_IMAGE_BYTES)) for path in paths]
 
@@ -121,27 +114,23 @@ class Frames:
     def places(self) -> list[Path]:
         """Possible places of the video's folder."""
         subject = subject_of(self.video)
-        return [
-            self.root / subject / "rgb_frames" / self.video,
-            self.root / subject / self.video,
-            self.root / self.video,
-        ]
+        return [folder / self.video for folder in (self.root / subject / "rgb_frames", self.root / subject, self.root)]
 
     @property
     def folder(self) -> Path:
-        """Folder of the images, whether it is there or not."""
+        """Folder of the images, even if missing."""
         return next((place for place in self.places if place.is_dir()), self.places[-1])
 
     @cached_property
     def archive(self) -> FrameArchive | None:
-        """The video's archive, where there is one."""
+        """The video's archive; None without one."""
         paths = [place.with_name(f"{place.name}.tar") for place in self.places]
         return next((FrameArchive(path) for path in paths if path.is_file()), None)
 
 
 @dataclass(frozen=True)
 class Video:
-    """A folder of videos: EPIC's own (``P01/videos/P01_01.MP4``), or ``P01_01.MP4`` without these."""
+    """A folder of videos: EPIC's own layout (``P01/videos/P01_01.MP4``), or ``P01_01.MP4``."""
 
     root: Path
     video: str
@@ -150,47 +139,17 @@ class Video:
         """Decode the images of some frames; frame n is the one shown at (n - 1) / rate seconds."""
         subject = subject_of(self.video)
         folders = (self.root / subject / "videos", self.root / subject, self.root)
-        paths = [
-            path for folder in folders for s in EPIC_VIDEO_SUFFIXES if (path := folder / f"{self.video}{s}").is_file()
-        ]
+        names = [f"{self.video}{suffix}" for suffix in EPIC_VIDEO_SUFFIXES]
+        paths = [path for folder in folders for name in names if (path := folder / name).is_file()]
         if not paths:
             raise InputError(self.root, "", f"no {self.video}.MP4 in it", "the video")
         rate = Fraction(numbering_rate(self.video))
         times = {n: (n - 1) / rate for n in sorted(set(numbers))}
-        found = dict(_decode_at_times(paths[0], times))
+        found = dict(zip(times, decode_at_times(paths[0], list(times.values()), _resize_video_frame), strict=False))
         missing = [n for n in times if n not in found]
         if missing:
             raise InputError(paths[0], "", f"no frame {missing[0]} (at {float(times[missing[0]]):.2f} s)", "the frame")
         return [found[n] for n in numbers]
-
-
-def _decode_at_times(path: Path, times: dict[int, Fraction]) -> Iterator[tuple[int, UInt8[ndarray, "H W 3"]]]:
-    """Decode the images at some rising times [s]: one seek to the first, then decoded onwards."""
-    from av.error import FFmpegError
-
-    from getagrip.readers.video import open_video
-
-    waiting = list(times.items())
-    try:
-        with open_video(path) as container:
-            stream = container.streams.video[0]
-            base = stream.time_base or Fraction(1, 90_000)
-            begin = Fraction(stream.start_time or 0) * base
-            half = 1 / (2 * Fraction(stream.average_rate or 60))
-            container.seek(int((begin + waiting[0][1]) / base), stream=stream)  # to the key frame before
-            for frame in container.decode(stream):
-                if frame.pts is None:
-                    continue
-                shown_at = frame.pts * base - begin
-                image = None
-                while waiting and shown_at + half >= waiting[0][1]:
-                    if image is None:
-                        image = _resize_video_frame(frame)
-                    yield waiting.pop(0)[0], image
-                if not waiting:
-                    return
-    except (FFmpegError, IndexError, OSError, ValueError) as error:
-        raise InputError(path, "", f"a video that does not decode ({error})", "a video") from error
 
 
 def _resize_video_frame(frame: VideoFrame) -> UInt8[ndarray, "H W 3"]:
@@ -198,12 +157,10 @@ def _resize_video_frame(frame: VideoFrame) -> UInt8[ndarray, "H W 3"]:
 
 
 def _decode_epic_image(path: Path, key: str, value: bytes) -> UInt8[ndarray, "H W 3"]:
-    """Decode an image at the size of the masks; path and key are named in errors."""
     return _resize_to_masks(decode_image(path, key, value, MAX_EPIC_SIDE_PX))
 
 
 def _resize_to_masks(image: UInt8[ndarray, "h w 3"]) -> UInt8[ndarray, "H W 3"]:
-    """Resize an image to the size of the masks."""
     import cv2
 
     if image.shape[1::-1] == DENSE_IMAGE_SIZE_PX:
@@ -214,18 +171,17 @@ def _resize_to_masks(image: UInt8[ndarray, "h w 3"]) -> UInt8[ndarray, "H W 3"]:
 
 
 EPIC_WORLD_UP = np.array([0.0, 0.0, 1.0])
-"""In the metric world."""
 METRIC_SCALE_RANGE = 1e-4, 1e4
-"""Metres in a unit of EPIC-Fields' world."""
+"""Plausible metres per unit of EPIC-Fields' worlds."""
 MAX_ROTATION_DEVIATION = 1e-3
-"""Largest deviation of a similarity from a rotation, times its scale."""
+"""Maximum deviation of a similarity, divided by its scale, from a rotation."""
 MAX_EPIC_POSITION_M = 1e3
-"""No camera is farther from the origin [m]."""
+"""Maximum distance of a camera from the origin [m]."""
 EPIC_FIELDS_FRAME_PATTERN = re.compile(r"frame_(\d{1,10})\.jpg")
 
 
 def read_metric_similarity(path: Path) -> tuple[float, Float[ndarray, "4 4"]]:
-    """Scale s and motion (R, t) of a similarity: a point of EPIC-Fields' world is at s R x + t [m].
+    """Read the scale s and motion (R, t) of a similarity, which takes EPIC-Fields' x to s R x + t [m].
 
     Raises ``InputError``.
     """
@@ -239,11 +195,8 @@ def read_metric_similarity(path: Path) -> tuple[float, Float[ndarray, "4 4"]]:
     rigid = T.copy()
     rigid[:3, :3] /= scale if scale > 0.0 else 1.0
     off = np.abs(rigid[:3, :3] @ rigid[:3, :3].T - np.eye(3)).max()
-    if (
-        not METRIC_SCALE_RANGE[0] < scale < METRIC_SCALE_RANGE[1]
-        or off > MAX_ROTATION_DEVIATION
-        or not np.allclose(T[3], [0.0, 0.0, 0.0, 1.0])
-    ):
+    is_similarity = off <= MAX_ROTATION_DEVIATION and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0])
+    if not METRIC_SCALE_RANGE[0] < scale < METRIC_SCALE_RANGE[1] or not is_similarity:
         raise InputError(path, "T", f"a scale of {scale:.3g}, {off:.2g} from a rotation", "a similarity [sR | t]")
     U, _, Vt = np.linalg.svd(rigid[:3, :3])
     return scale, se3.rigid(U @ Vt, rigid[:3, 3])
@@ -252,7 +205,7 @@ def read_metric_similarity(path: Path) -> tuple[float, Float[ndarray, "4 4"]]:
 def read_epic_camera_poses(
     path: Path, scale: float, T_metric_world: Float[ndarray, "4 4"], wanted: range
 ) -> Mapping[int, Float[ndarray, "4 4"]]:
-    """Read ``T_world_cam`` in the metric world by EPIC's frame numbers: of those ``wanted`` that EPIC-Fields has.
+    """Read ``T_world_cam`` in the metric world by EPIC's frame numbers, for the ``wanted`` frames of EPIC-Fields.
 
     Raises ``InputError``.
     """
@@ -265,9 +218,8 @@ def read_epic_camera_poses(
             continue
         q_t = arrays.from_lists(value) if isinstance(value, list) else None
         if q_t is None or q_t.shape != (7,) or q_t.dtype.kind not in "fi" or not _is_quaternion_pose(q_t.astype(float)):
-            raise InputError(
-                path, f"images.{printable(name)}", shorten_value(value), "[qw, qx, qy, qz, tx, ty, tz], |q| = 1"
-            )
+            expected = "[qw, qx, qy, qz, tx, ty, tz], |q| = 1"
+            raise InputError(path, f"images.{printable(name)}", shorten_value(value), expected)
         T_cam_world = se3.rigid(se3.from_quaternion(q_t[:4].astype(float)), q_t[4:].astype(float))
         T_world_cam = se3.inverse(T_cam_world)
         T_world_cam[:3, 3] *= scale

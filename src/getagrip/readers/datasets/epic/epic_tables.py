@@ -1,14 +1,12 @@
-"""EPIC-KITCHENS' tables: stable grasps (EPIC-Grasps), action labels (EPIC-100), and how fast frames are numbered.
+"""EPIC-KITCHENS' tables, stable grasps (EPIC-Grasps) and actions (EPIC-100), and candidates of stable grasps from both.
 
-Frames are numbered as EPIC-KITCHENS' own images are, from 1. Its videos run at several rates; the images of those with
-two-digit numbers (``P01_01``: EPIC-KITCHENS-55) were taken from them 60 times a second, of those with three
-(``P01_101``: the extension of EPIC-100) 50 times.
+Frame numbers are those of EPIC-KITCHENS' images, from 1. Whatever the rate of a video, images were extracted at 60
+frames per second from videos with two-digit numbers (``P01_01``: EPIC-KITCHENS-55), and at 50 from videos with three
+digits (``P01_101``: the extension of EPIC-100).
 
-Candidates of stable grasps: the first step of how EPIC-Grasps was annotated.
-
-VISOR says in which frames a hand touches an object of one of the categories. EPIC-100's actions give the extent: it
-begins with the third last action that has begun by the first of these frames, and ends with the third action that ends
-from the last of them on. This rule is read off EPIC-Grasps' own bounds, nearly all of which it gives exactly.
+Candidates are the first step of EPIC-Grasps' annotation: VISOR's contacts of a hand with an object of a category, and
+their extent by EPIC-100's actions. The extent begins with the third-last action that begins by the first contact, and
+ends with the third action that ends from the last contact on. This rule reproduces nearly all of EPIC-Grasps' bounds.
 """
 
 from __future__ import annotations
@@ -24,25 +22,24 @@ from pathlib import Path
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
 from getagrip.io.files import printable, read_bytes, shorten_value
-from getagrip.readers.datasets.epic.visor import FrameMapping, VisorFrame
+from getagrip.readers.datasets.epic.visor import SIDE_BY_HAND_NAME, FrameMapping, VisorFrame
 
 EPIC_CATEGORIES = ("bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate", "saucepan")
-"""The kinds of objects of EPIC-Grasps."""
+"""Object categories of EPIC-Grasps."""
 MAX_EPIC_TABLE_BYTES = 64 * 2**20
-"""Limit in bytes of a table."""
+"""Maximum size of a table."""
 MAX_FRAME_NUMBER = 10_000_000
-"""No frame has a higher number: two days at 50 frames per second."""
+"""Maximum frame number: two days at 50 frames per second."""
 EPIC_VIDEO_PATTERN = re.compile(r"(P\d{2})_(\d{2,3})")
 """Names of videos: a person (and kitchen), then the recording."""
-SIDE_BY_HAND_NAME: dict[str, Side] = {"left hand": "left", "right hand": "right"}
 
 
 @dataclass(frozen=True)
 class EpicGrasp:
-    """One stable grasp of EPIC-Grasps. Frames are EPIC's own numbers, first and last included."""
+    """A stable grasp of EPIC-Grasps. Frames are EPIC's numbers, first and last included."""
 
     example: int
-    """Its number, 0 to 2430; five of them are missing."""
+    """Number of the grasp, 0 to 2430; five numbers are missing."""
     video: str
     side: Side
     category: str
@@ -52,30 +49,30 @@ class EpicGrasp:
     end: int
     start_bound: int
     end_bound: int
-    """The rough extent that was given to the annotators."""
+    """Last frame of the rough extent shown to the annotators."""
     contact: int | None
-    """A frame in which VISOR says that the hand touches the object."""
+    """A frame of contact between hand and object, by VISOR."""
     note: str = ""
-    """Corrections that were made, in words."""
+    """Corrections, in words."""
     masks: int | None = None
-    """Masks of hand and object in its frames (``n_unfiltered_masks``), where the table says."""
+    """Number of masks of hand and object in the grasp's frames (``n_unfiltered_masks``), if stated."""
     film: str = ""
-    """Name in lists of timelines (``mp4_name`` without its suffix), where the table has it."""
+    """Name in lists of timelines (``mp4_name`` without suffix), if stated."""
 
     @property
     def name(self) -> str:
-        """Name of its clip."""
+        """Name of the grasp's clip."""
         return f"{self.video}_{self.side}_{self.category}_{self.start}_{self.end}"
 
     @property
     def frames(self) -> int:
-        """How many frames of the video it spans."""
+        """Number of the video's frames in the grasp."""
         return self.end - self.start + 1
 
 
 @dataclass(frozen=True)
 class Action:
-    """One labelled action of EPIC-100."""
+    """A labelled action of EPIC-100."""
 
     video: str
     start: int
@@ -85,7 +82,7 @@ class Action:
 
 
 def numbering_rate(video: str) -> float:
-    """Return the number of frames that EPIC counts in a second of a video: 50 or 60, whatever the rate of the file."""
+    """Return the number of EPIC's frames per second of a video: 50 or 60, whatever the rate of the file."""
     return 50.0 if len(video.partition("_")[2]) == 3 else 60.0
 
 
@@ -95,15 +92,15 @@ def subject_of(video: str) -> str:
 
 
 def errata_beside(path: Path) -> Path | None:
-    """Return the errata that are published beside EPIC-Grasps' table, where they are there."""
+    """Return the published errata beside EPIC-Grasps' table; None if missing."""
     errata = path.with_name(f"{path.stem}_errata.csv")
     return errata if errata.is_file() else None
 
 
 def chosen_errata(path: Path, wanted: bool, file: Path | None) -> Path | None:
-    """Return the errata to apply to a table: a file that is named, or that beside it; None where there is none.
+    """Return the errata for a table: the user's file, or the file beside the table; None without errata.
 
-    Raises ``UsageError`` for a file that is named though no errata are ``wanted``.
+    Raises ``UsageError`` for a user's file if errata are not ``wanted``.
     """
     if file is not None and not wanted:
         raise UsageError("--errata-file cannot be used with --no-errata")
@@ -111,10 +108,10 @@ def chosen_errata(path: Path, wanted: bool, file: Path | None) -> Path | None:
 
 
 def read_grasps(path: Path, errata: Path | None = None) -> list[EpicGrasp]:
-    """Read the stable grasps of EPIC-Grasps' CSV, corrected by its errata where they are given.
+    """Read the stable grasps of EPIC-Grasps' CSV, corrected by errata.
 
-    Where ``st`` and ``ed`` of a row disagree with its ``duration`` (one does), those in its ``fmt`` are taken if they
-    agree with it. Raises ``InputError``, which names the line and the column.
+    If ``st`` and ``ed`` of a row disagree with its ``duration`` (in one row), the frames in its ``fmt`` are used, which
+    must agree with it. Raises ``InputError`` with the line and the column.
     """
     rows = _read_epic_table(path, ("vid", "st", "ed", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name",
                          "duration", "example", "fmt"), optional=("n_unfiltered_masks", "mp4_name"))  # fmt: skip
@@ -125,9 +122,7 @@ def read_grasps(path: Path, errata: Path | None = None) -> list[EpicGrasp]:
         for row in _read_epic_table(errata, ("ACTION", "old_fmt", "correct_handside")):
             old = grasps.pop(row.text("old_fmt"), None)
             if old is None:
-                raise InputError(
-                    errata, row.key("old_fmt"), shorten_value(row.text("old_fmt")), f"an fmt of {path.name}"
-                )
+                raise InputError(errata, row.key("old_fmt"), shorten_value(row.text("old_fmt")), f"fmt in {path.name}")
             if row.text("ACTION") == "REMAKE":
                 side = _parse_epic_side(row, row.text("correct_handside"), "correct_handside")
                 grasps[row.text("old_fmt")] = replace(old, side=side, note=f"errata: the {side} hand, not {old.side}")
@@ -137,7 +132,6 @@ def read_grasps(path: Path, errata: Path | None = None) -> list[EpicGrasp]:
 
 
 def _parse_epic_grasp(row: _TableRow, side: str, column: str) -> EpicGrasp:
-    """Parse the grasp in a row of the table."""
     start, end, duration = row.frame("st"), row.frame("ed"), row.whole("duration", 1, MAX_FRAME_NUMBER)
     note = ""
     if end - start + 1 != duration:
@@ -179,8 +173,8 @@ def _parse_epic_side(row: _TableRow, value: str, column: str) -> Side:
 def read_actions(paths: Sequence[Path]) -> dict[str, list[Action]]:
     """Read the actions of EPIC-100's CSVs by video, in order of start.
 
-    The files are ``EPIC_100_train.csv`` and ``EPIC_100_validation.csv``. Raises ``InputError``, which names the line
-    and the column.
+    The files are ``EPIC_100_train.csv`` and ``EPIC_100_validation.csv``. Raises ``InputError`` with the line and the
+    column.
     """
     actions: dict[str, list[Action]] = {}
     for path in paths:
@@ -229,7 +223,7 @@ class _TableRow:
 
 
 def _read_epic_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ()) -> list[_TableRow]:
-    """Read the rows of a CSV that has certain columns, without the others; missing ``optional`` ones are empty."""
+    """Read some columns of a CSV; missing ``optional`` columns are empty."""
     try:
         text = read_bytes(path, MAX_EPIC_TABLE_BYTES).decode("utf-8-sig")
         lines = csv.reader(io.StringIO(text, newline=""), strict=True)
@@ -247,22 +241,22 @@ def _read_epic_table(path: Path, columns: Sequence[str], optional: Sequence[str]
                 raise InputError(path, f"line {lines.line_num}", f"{len(cells)} cells", f"{len(heads)}, as in line 1")
             rows.append(_TableRow(path, lines.line_num, empty | {column: cells[n] for column, n in where.items()}))
     except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(path, "", f"text that is no CSV ({error})", "a CSV file in UTF-8") from error
+        raise InputError(path, "", f"invalid CSV ({error})", "a CSV file in UTF-8") from error
     if not rows:
         raise InputError(path, "", "no rows", "one at least")
     return rows
 
 
 N_EXTENT_ACTIONS = 3
-"""Number of actions on either side of a contact that make the extent."""
+"""Number of actions on either side of a contact in the extent."""
 
 
 @dataclass(frozen=True)
 class Contact:
-    """A hand touches an object of a category, as somebody has marked it in one frame."""
+    """An annotated contact of a hand with an object of a category, in one frame."""
 
     frame: int
-    """EPIC's number."""
+    """EPIC's frame number."""
     side: Side
     category: str
     entity: str
@@ -271,7 +265,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class Candidate:
-    """Contacts of a hand with one object, in annotated frames that follow each other, and their rough extent."""
+    """Contacts of a hand with one object in consecutive annotated frames, and their rough extent."""
 
     video: str
     side: Side
@@ -286,27 +280,24 @@ class Candidate:
 
     @property
     def seconds(self) -> float:
-        """How long the extent is."""
+        """Duration of the extent [s]."""
         return (self.end_bound - self.start_bound + 1) / numbering_rate(self.video)
 
     @property
     def name(self) -> str:
-        """Name as EPIC-Grasps gives its clips: extent, first and last contact, hand, category."""
+        """Name in EPIC-Grasps' form: extent, first and last contact, hand, category."""
         frames = (self.start_bound, *dict.fromkeys((self.contacts[0], self.contacts[-1])), self.end_bound)
         return "_".join(map(str, (self.video, *frames, self.side, self.category)))
 
 
 def category_of(entity: str) -> str | None:
-    """Return the category that the name of a thing ends in ("olive oil bottle": bottle); None for other things."""
+    """Return the category at the end of an object's name ("olive oil bottle": bottle); None for other objects."""
     last = re.split(r"[^a-z]+", entity.lower().strip())[-1]
     return last if last in EPIC_CATEGORIES else None
 
 
 def contacts(frames: Iterable[VisorFrame], mapping: FrameMapping) -> list[list[Contact]]:
-    """Return the contacts in frames, one list for every frame in which the hands are marked, in order of time.
-
-    A hand in a glove counts as touching what the glove touches.
-    """
+    """Return the contacts in every frame with annotated hands, in order of time. A glove's contact is its hand's."""
     out: dict[int, list[Contact]] = {}
     for frame in frames:
         by_id = {a.id: a for a in frame.annotations}
@@ -325,7 +316,7 @@ def contacts(frames: Iterable[VisorFrame], mapping: FrameMapping) -> list[list[C
 def find_candidates(video: str, touching: Sequence[Sequence[Contact]], actions: Sequence[Action]) -> list[Candidate]:
     """Find the candidates of a video, in order of time, from ``contacts`` and its actions in order of start.
 
-    Contacts without an action before and after them are skipped: nothing bounds them.
+    Contacts without an action before and after are skipped, since they have no extent.
     """
     runs: list[list[Contact]] = []
     open_runs: dict[tuple[Side, str], list[Contact]] = {}
@@ -333,7 +324,7 @@ def find_candidates(video: str, touching: Sequence[Sequence[Contact]], actions: 
         going_on: dict[tuple[Side, str], list[Contact]] = {}
         for contact in now:
             key = contact.side, contact.entity
-            if key in going_on:  # hand and glove say the same
+            if key in going_on:  # the contact of both hand and glove
                 continue
             going_on[key] = open_runs.get(key, [])
             if not going_on[key]:
@@ -348,20 +339,14 @@ def find_candidates(video: str, touching: Sequence[Sequence[Contact]], actions: 
         if before == 0 or after == len(stops):
             continue
         bounds = starts[max(before - N_EXTENT_ACTIONS, 0)], stops[min(after + N_EXTENT_ACTIONS, len(stops)) - 1]
-        named = [
-            a.narration
-            for a in actions
-            if a.start <= bounds[1] and a.stop >= bounds[0] and _action_names_category(a, first)
-        ]
+        within = [a for a in actions if a.start <= bounds[1] and a.stop >= bounds[0]]
+        named = [a.narration for a in within if _action_names_category(a, first)]
         frames = tuple(contact.frame for contact in run)
         found.append(Candidate(video, first.side, first.category, first.entity, frames, *bounds, tuple(named)))
     return sorted(found, key=lambda candidate: candidate.contacts)
 
 
 def _action_names_category(action: Action, contact: Contact) -> bool:
-    """Return whether an action is about the object's category.
-
-    Either its noun is the category, as "bottle:oil", or the narration names it.
-    """
+    """Return whether an action's noun, as "bottle:oil", or narration names the object's category."""
     words = re.split(r"[^a-z]+", f"{action.noun} {action.narration}".lower())
     return not {contact.category, f"{contact.category}s", f"{contact.category}es"}.isdisjoint(words)

@@ -1,21 +1,17 @@
 """HOT3D (Banerjee et al., CVPR 2025): a hand and an object, true hands and poses, masks rendered from them.
 
-HOT3D's images are in VRS recordings, which this reader does not open. It needs none: the masks are rendered from the
-true poses of the objects and of both hands, in a pinhole that takes the place of the fisheye camera.
+Images are not read (HOT3D's are in VRS recordings): masks are rendered from the true poses of the objects and of both
+hands, in a pinhole in place of the fisheye camera.
 
-Each hand and object of a recording is a track. It becomes a clip for every hold, one of all frames (``whole``) where it
-has a hold, or one for each grasp of a list, as the authors' ``hot3d_hit.json``. With ``timelines``, an object and both
-hands become a clip for each interaction, with segments.
-
-HOT3D's recordings as timelines: what both hands do with an object, between two long static segments.
-
-Each timeline is a clip of the hand that touches the object in more of its frames, with the segments of both hands: by
-the true poses, or as the authors' list has them.
+Each hand and object of a recording is a track. It becomes a clip for every hold, one clip of all frames (``whole``) if
+it has a hold, or one clip for each grasp of a list, as the authors' ``hot3d_hit.json``. With ``timelines``, an object
+and both hands become a clip for each interaction between two long static segments: a clip of the hand that touches the
+object in more frames, with the segments of both hands, by the true poses or from the authors' list.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
@@ -59,18 +55,15 @@ DERIVED_TIMELINE_SOURCE = "a timeline: static, contact and grasp by the true pos
 
 
 def hot3d_timeline_pieces(tracks: Iterable[Track], note: Note, cut: CutRules) -> Iterator[TrackPiece]:
-    """Yield the timelines of a recording, whose tracks come object by object."""
+    """Yield the timelines of a recording; its tracks are ordered by object."""
     for _, of_object in groupby(tracks, key=lambda track: track.category):
         hands = [track.take(np.flatnonzero(in_front_of_camera(track))) for track in of_object]
         if cut.listed is None:
             found = list(_derived_timelines(hands, cut))
         else:
             sides = [track.side for track in hands]
-            found = [
-                piece
-                for track in hands
-                for piece in _listed_timelines(track, sides, cut.listed.timelines, cut.description)
-            ]
+            listed, source = cut.listed.timelines, cut.description
+            found = [piece for track in hands for piece in _listed_timelines(track, sides, listed, source)]
         for piece in (replace(piece, other=_other_hand_track(piece.track, hands)) for piece in found):
             if not any(segment.state == "static" for segment in piece.segments):
                 note(f"{piece.name}: the object is never static")
@@ -78,13 +71,9 @@ def hot3d_timeline_pieces(tracks: Iterable[Track], note: Note, cut: CutRules) ->
 
 
 def _derived_timelines(hands: Sequence[Track], cut: CutRules) -> Iterator[TrackPiece]:
-    """Yield an object's timelines by the true poses."""
     definition = cut.definition
-    contact = {
-        track.side: contact_sets(clip_of_track(track), definition.contact, definition.points)
-        for track in hands
-        if len(track)
-    }
+    known = [track for track in hands if len(track)]
+    contact = {t.side: contact_sets(clip_of_track(t), definition.contact, definition.points) for t in known}
     if not any(sets.any() for sets in contact.values()):
         return
     numbers = {track.side: track.numbers for track in hands}
@@ -101,11 +90,11 @@ def _derived_timelines(hands: Sequence[Track], cut: CutRules) -> Iterator[TrackP
 
 
 def _resample_contacts(
-    value: Int[ndarray, "S"], sets: Bool[ndarray, "S P"], wanted: Int[ndarray, "T"]
+    numbers: Int[ndarray, "S"], sets: Bool[ndarray, "S P"], wanted: Int[ndarray, "T"]
 ) -> Bool[ndarray, "T P"]:
-    """Contact sets of the frames ``given`` in the frames ``wanted``; none where they are not known."""
+    """Return the contact sets of the frames ``numbers`` in the frames ``wanted``; empty in unknown frames."""
     out = np.zeros((len(wanted), sets.shape[1]), dtype=bool)
-    _, rows, source = np.intersect1d(wanted, value, return_indices=True)
+    _, rows, source = np.intersect1d(wanted, numbers, return_indices=True)
     out[rows] = sets[source]
     return out
 
@@ -113,7 +102,7 @@ def _resample_contacts(
 def _listed_timelines(
     track: Track, sides: Sequence[Side], timelines: Sequence[ListedTimeline], source: str
 ) -> Iterator[TrackPiece]:
-    """Yield the timelines of a list that are of a track's object, and of its hand more than of the others."""
+    """Yield the timelines of a list for a track's object in which the track's hand is the main hand."""
     name = f"{track.subject}_{track.sequence}"
     for timeline in timelines:
         if (timeline.sequence, timeline.category) != (name, track.category):
@@ -138,7 +127,7 @@ def _other_hand_track(track: Track, hands: Sequence[Track]) -> Track | None:
 
 
 def _main_hand_side(frames: Mapping[Side, int]) -> Side | None:
-    """Return the hand with the most frames, the left one if both have as many; None where none has one."""
+    """Return the hand with the most frames, the left one of equals; None without frames."""
     best = max(sorted(frames), key=lambda side: frames[side])
     return best if frames[best] else None
 
@@ -149,10 +138,9 @@ def _piece(track: Track, segments: tuple[Segment, ...], made_of: str) -> TrackPi
 
 
 HOT3D_GRASP_OPTIONS = GraspOptions(contact_mm=5.0, points="area", rule="touch", shortest=10)
-"""Uninterrupted contact."""
+"""Holds: uninterrupted contact."""
 FRAME_NUMBER_DIGITS = 6
 HOT3D_WORLD_UP = np.array([0.0, 0.0, 1.0])
-"""In HOT3D's world."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,30 +171,27 @@ class Hot3d(TrackedDataset):
             raise InputError(self.root, "", got, "one of them at least")
         if listed is not None and (missing := max(0, len(lengths) - len(found))):
             note(f"{missing} of {len(lengths)} recordings of {listed.file} are not there: skipped")
-        how: Pieces = partial(
-            hot3d_timeline_pieces if self.timelines else cut_into_holds if self.whole else cut_into_grasps,
-            cut=cut,
-        )
+        whole = cut_into_holds if self.whole else cut_into_grasps
+        how: Pieces = partial(hot3d_timeline_pieces if self.timelines else whole, cut=cut)
         return [CutSource(source, how, cut.shortest) for source in found]
 
     def _of_timelines(self, cut: CutRules) -> CutRules:
-        """How grasps are found in timelines, or their list. Raises ``UsageError`` and ``InputError``."""
+        """Return the cutting rules of timelines. Raises ``UsageError`` and ``InputError``."""
         if self.whole:
             raise UsageError("--timelines cannot be used with --whole")
         if cut.listed is not None and not cut.listed.timelines:
             assert self.grasps.listed is not None
             raise InputError(self.grasps.listed, "", "a list of grasps", "one of timelines, as hot3d_hit.json")
         definition = cut.definition
-        return replace(
-            cut, definition=replace(definition, rule="all-pairs") if definition.rule == "touch" else definition
-        )
+        rule = "all-pairs" if definition.rule == "touch" else definition.rule
+        return replace(cut, definition=replace(definition, rule=rule))
 
     def cut_record(self) -> dict[str, object] | None:
-        """Return the record of how its clips are cut; None where they are whole."""
+        """Return the record of how clips are cut; None for timelines and whole tracks."""
         return None if self.timelines else super().cut_record()
 
     def sources(self, lengths: Mapping[str, int] | None = None) -> list[SequenceSource]:
-        """List the recordings below ``root``; ``lengths`` says how many frames some of them must have."""
+        """List the recordings below ``root``; ``lengths`` are the required numbers of frames, by recording."""
         root = self.root.resolve()
         found = find_hot3d_recordings(root)
         objects = Hot3dObjects.below(root)
@@ -219,7 +204,7 @@ class Hot3d(TrackedDataset):
 
 
 def cut_into_holds(tracks: Iterable[Track], note: Note, cut: CutRules) -> Iterator[TrackPiece]:
-    """Yield all frames of each hand and object that have a hold."""
+    """Yield the whole tracks that contain a hold."""
     for track in tracks:
         if next(cut_into_grasps([track], lambda _: None, cut), None) is not None:
             yield from cut_into_grasps([track], note, cut, whole=True)
@@ -227,18 +212,14 @@ def cut_into_holds(tracks: Iterable[Track], note: Note, cut: CutRules) -> Iterat
 
 @dataclass(frozen=True)
 class Hot3dObjects:
-    """The objects of HOT3D, by uid."""
+    """Names and mesh files of HOT3D's objects, by uid; some meshes may be missing."""
 
     names: dict[str, str]
     meshes: dict[str, Path]
-    """Files; some may be missing."""
 
     @staticmethod
     def below(root: Path) -> Hot3dObjects:
-        """Find the meshes of the objects in ``instance.json``; a mesh is called by the uid or the name.
-
-        Raises ``InputError``.
-        """
+        """Find the meshes, named by uid or name, of the objects in ``instance.json``. Raises ``InputError``."""
         instances = next(iter(sorted(root.rglob("instance.json"))), None)
         if instances is None:
             raise InputError(root, "", "no instance.json below it", "HOT3D's list of objects")
@@ -246,9 +227,8 @@ class Hot3dObjects:
         for uid, entry in read_json(instances).items():
             name = entry.get("instance_name") if isinstance(entry, dict) else None
             if not isinstance(name, str) or not name.replace("_", "").isalnum():
-                raise InputError(
-                    instances, printable(uid), shorten_value(name), "an instance_name of letters, digits and _"
-                )
+                expected = "an instance_name of letters, digits and _"
+                raise InputError(instances, printable(uid), shorten_value(name), expected)
             names[uid] = name
         files: dict[str, Path] = {}
         for path in sorted(root.rglob("*")):
@@ -258,7 +238,7 @@ class Hot3dObjects:
         return Hot3dObjects(names, {uid: path for uid, path in found.items() if path is not None})
 
     def read(self, recording: Hot3dRecording, note: Note) -> dict[str, Mesh]:
-        """Read the meshes of a recording's objects; missing ones are reported."""
+        """Read the meshes of a recording's objects, with a note on each missing mesh."""
         meshes = {}
         for uid in sorted(recording.objects):
             name = self.names.get(uid, uid)
@@ -275,9 +255,9 @@ class Hot3dObjects:
 def _recording_tracks(
     name: str, files: dict[str, Path], objects: Hot3dObjects, frames: int | None, first: int, note: Note
 ) -> Iterator[Track]:
-    """Every hand with every object of a recording, in the frames that have both. Raises ``InputError``.
+    """Yield every hand with every object of a recording. Raises ``InputError``.
 
-    ``first`` is a list's number of the first frame.
+    ``frames`` is the required number of frames, ``first`` a list's number of the first frame.
     """
     folder = next(iter(files.values())).parent
     if not is_portable_name(name):
@@ -292,70 +272,55 @@ def _recording_tracks(
 
 def hand_object_tracks(folder: Path, recording: Hot3dRecording, objects: Hot3dObjects, note: Note) -> Iterator[Track]:
     """Yield every hand with every object of a recording that has a mesh, object by object. Raises ``InputError``."""
-    meshes = objects.read(recording, note)
-    covered = recording.camera.pinhole.covered(recording.camera.fisheye)
+    meshes, camera = objects.read(recording, note), recording.camera
+    covered = camera.pinhole.covered(camera.fisheye)
+    subject, _, sequence = recording.name.partition("_")
     for uid, poses in recording.objects.items():  # timelines look at both hands of an object
         for side, hand in recording.hands.items():
-            both = np.flatnonzero(hand.known & poses.known)
-            if uid in meshes and both.size:
-                masks = partial(_render_hot3d_masks, recording, side, uid, meshes, covered)
-                yield _make_hot3d_track(folder, recording, side, uid, objects.names[uid], meshes[uid], both, masks)
-
-
-def _make_hot3d_track(
-    folder: Path,
-    recording: Hot3dRecording,
-    side: Side,
-    uid: str,
-    category: str,
-    mesh: Mesh,
-    frames: Int[ndarray, "T"],
-    masks: Callable[[int], FrameMasks],
-) -> Track:
-    """Return a hand and an object in some frames of a recording."""
-    hand, camera = recording.hands[side], recording.camera
-    T_cam_world = se3.inverse(camera.T_world_cam[frames])
-    subject, _, sequence = recording.name.partition("_")
-    return Track(
-        file=folder,
-        subject=subject,
-        sequence=sequence,
-        category=category,
-        side=side,
-        fps=round(1e9 / float(np.median(np.diff(recording.times))), 3),
-        numbers=frames,
-        digits=FRAME_NUMBER_DIGITS,
-        size=camera.pinhole.size,
-        K=camera.pinhole.K,
-        hand=HandTrack(
-            vertices=hand.posed.vertices[frames],
-            faces=hand.posed.faces,
-            T_cam_hand=T_cam_world @ hand.T_world_hand[frames],
-            regions=hand.posed.regions,
-            joints=hand.posed.joints[frames],
-        ),
-        T_cam_obj=T_cam_world @ recording.objects[uid].T_world_obj[frames],
-        mesh=mesh,
-        read_masks=masks,
-        world=World(camera.T_world_cam[frames], HOT3D_WORLD_UP),
-        stamps=1e-9 * (recording.times[frames] - recording.times[0]),
-        provenance={
-            "source": f"HOT3D, recording {recording.name}",
-            "object_uid": uid,
-            "hands": "HOT3D's UmeTrack hands (true)",
-            "masks": "rendered from the true poses, hidden by both hands and by the other objects that have a mesh",
-            "camera": f"{camera.device}, {camera.label}: a pinhole of the fisheye lens's focal length and axis",
-            "bop": camera.bop,
-            "scale": "HOT3D's scanned mesh, true size",
-            "times": "poses are the nearest in time to the frame, at most 5 ms off",
-        },
-    )
+            frames = np.flatnonzero(hand.known & poses.known)
+            if uid not in meshes or not frames.size:
+                continue
+            T_cam_world = se3.inverse(camera.T_world_cam[frames])
+            yield Track(
+                file=folder,
+                subject=subject,
+                sequence=sequence,
+                category=objects.names[uid],
+                side=side,
+                fps=round(1e9 / float(np.median(np.diff(recording.times))), 3),
+                numbers=frames,
+                digits=FRAME_NUMBER_DIGITS,
+                size=camera.pinhole.size,
+                K=camera.pinhole.K,
+                hand=HandTrack(
+                    vertices=hand.posed.vertices[frames],
+                    faces=hand.posed.faces,
+                    T_cam_hand=T_cam_world @ hand.T_world_hand[frames],
+                    regions=hand.posed.regions,
+                    joints=hand.posed.joints[frames],
+                ),
+                T_cam_obj=T_cam_world @ poses.T_world_obj[frames],
+                mesh=meshes[uid],
+                read_masks=partial(_render_hot3d_masks, recording, side, uid, meshes, covered),
+                world=World(camera.T_world_cam[frames], HOT3D_WORLD_UP),
+                stamps=1e-9 * (recording.times[frames] - recording.times[0]),
+                provenance={
+                    "source": f"HOT3D, recording {recording.name}",
+                    "object_uid": uid,
+                    "hands": "HOT3D's UmeTrack hands (true)",
+                    "masks": "rendered from the true poses, hidden by both hands and by other objects with a mesh",
+                    "camera": f"{camera.device}, {camera.label}: a pinhole of the fisheye lens's focal length and axis",
+                    "bop": camera.bop,
+                    "scale": "HOT3D's scanned mesh, true size",
+                    "times": "poses are the nearest in time to the frame, at most 5 ms off",
+                },
+            )
 
 
 def _render_hot3d_masks(
     recording: Hot3dRecording, side: Side, uid: str, meshes: dict[str, Mesh], covered: Bool[ndarray, "H W"], n: int
 ) -> FrameMasks:
-    """Return the masks of frame n; ``covered`` are the pixels that the fisheye image covers."""
+    """Render the masks of frame n; ``covered`` are the pixels inside the fisheye image."""
     from getagrip.geometry.rasterize import true_masks  # loads numba
 
     T_cam_world = se3.inverse(recording.camera.T_world_cam[n])

@@ -1,9 +1,9 @@
 """HOT3D's raw files as arrays: one ``Hot3dRecording`` with every pose at the times of one camera.
 
-A recording is a folder ``P<person>_<id>``; its files may also be spread over several folders of that name below ROOT.
-Read are ``dynamic_objects.csv``, ``headset_trajectory.csv``, ``umetrack_hand_pose_trajectory.jsonl``,
-``umetrack_hand_user_profile.json``, and the calibration: ``online_calibration.jsonl`` (Aria) or ``camera_models.json``
-(Quest 3). Poses ``T_world_x`` are quaternions (w, x, y, z) and metres.
+A recording is a folder ``P<person>_<id>``, or several folders of that name below ROOT, with ``dynamic_objects.csv``,
+``headset_trajectory.csv``, ``umetrack_hand_pose_trajectory.jsonl``, ``umetrack_hand_user_profile.json`` and the
+calibration: ``online_calibration.jsonl`` (Aria) or ``camera_models.json`` (Quest 3). Poses ``T_world_x`` are
+quaternions (w, x, y, z) and metres.
 """
 
 from __future__ import annotations
@@ -27,38 +27,35 @@ from getagrip.geometry.fisheye import Fisheye624, Pinhole, pinhole
 from getagrip.hands import umetrack
 from getagrip.hands.model import PosedHand, Side
 from getagrip.io.files import MAX_JSON_BYTES, Json, read_bytes
+from getagrip.readers.datasets.tracks import MAX_SEQUENCE_FRAMES
 
 OBJECT_POSE_FILES = ("dynamic_objects.csv", "dynamic_objects_v2.csv")
 MAX_TIME_DIFFERENCE_NS = 5_000_000
-"""Largest difference between the times of a frame and of a pose that is taken for it [ns]; cameras and poses of one
-instant are stamped 0.1 ms apart, frames 33 ms."""
+"""Maximum difference between the times of a frame and its pose [ns]; cameras and poses of one instant are stamped
+0.1 ms apart, frames 33 ms."""
 MAX_HOT3D_FILE_BYTES = 128 * 2**20
-"""Limit in bytes of a file of poses; two minutes take some ten million."""
-MAX_HOT3D_FRAMES = 20_000
-"""Most frames of a recording: five times as many as the longest has."""
+"""Maximum size of a file of poses; two minutes take about ten million bytes."""
 MAX_HOT3D_SIDE_PX = 8192
-"""Longest side of an image [px]."""
+"""Maximum side of an image [px]."""
 MAX_POSE_NUMBER = 1e9
-"""Largest number of a pose, an angle or a calibration; far above all true ones."""
+"""Maximum absolute number in a pose, an angle or a calibration."""
 SIDE_BY_HAND_ID: dict[str, Side] = {"0": "left", "1": "right"}
 ARIA_CAMERAS = {"camera-rgb": (1408, 1408), "camera-slam-left": (640, 480)}
-"""Cameras in the order of preference and the sizes of their images [px], which the calibration does not give."""
+"""Cameras in order of preference, with their image sizes [px], which the calibration lacks."""
 
 
 @dataclass(frozen=True)
 class RecordedHand:
-    """One hand over a recording."""
+    """One hand over a recording, and the frames in which it is known."""
 
     posed: PosedHand
-    """In every frame, in the hand frame."""
     T_world_hand: Float[ndarray, "N 4 4"]
     known: Bool[ndarray, "N"]
-    """Frames that have it."""
 
 
 @dataclass(frozen=True)
 class WorldPoses:
-    """One object over a recording."""
+    """The poses of one object over a recording, and the frames in which they are known."""
 
     T_world_obj: Float[ndarray, "N 4 4"]
     known: Bool[ndarray, "N"]
@@ -66,24 +63,26 @@ class WorldPoses:
 
 @dataclass(frozen=True)
 class HeadsetCamera:
-    """The camera of a recording, and the pinhole that takes its place."""
+    """The fisheye camera of a recording, and the pinhole in its place."""
 
     device: str
     label: str
     fisheye: Fisheye624
     pinhole: Pinhole
     T_world_cam: Float[ndarray, "N 4 4"]
-    """Pinhole camera to world."""
+    """Poses of the pinhole."""
 
     @property
     def bop(self) -> dict[str, str]:
-        """Names in the BOP benchmark of the dataset, the headset's images and the files of the camera."""
+        """Dataset, split and camera, by their names in the BOP benchmark."""
         split = "test-aria" if self.device == "Aria" else "test-quest3"
         return {"dataset": "hot3d", "split": split, "camera": "rgb" if self.label == "camera-rgb" else "gray1"}
 
 
 @dataclass(frozen=True)
 class Hot3dRecording:
+    """The camera, hands and objects of a recording at the camera's frames."""
+
     name: str
     times: Int[ndarray, "N"]
     """Times of the frames [ns]."""
@@ -98,10 +97,7 @@ HOT3D_CLIPS_PATTERNS = ("clip-*.tar", "*.objects.json", "*.cameras.json")
 
 
 def find_hot3d_recordings(root: Path) -> dict[str, dict[str, Path]]:
-    """Find the files of each recording below a folder, by their names.
-
-    Raises ``InputError`` where there is no recording.
-    """
+    """Find the files of each recording below a folder, by name. Raises ``InputError`` without a recording."""
     if root.is_file() and fnmatch(root.name, HOT3D_CLIPS_PATTERNS[0]):
         raise _clips_layout_error(root)
     if not root.is_dir():
@@ -110,12 +106,9 @@ def find_hot3d_recordings(root: Path) -> dict[str, dict[str, Path]]:
     for path in sorted(root.rglob("*")):
         if path.is_file():
             folders.setdefault(path.parent.name, {})[path.name] = path
-    found = {
-        name: files for name, files in sorted(folders.items()) if any(objects in files for objects in OBJECT_POSE_FILES)
-    }
-    if not found and any(
-        fnmatch(name, kind) for names in folders.values() for name in names for kind in HOT3D_CLIPS_PATTERNS
-    ):
+    found = {name: files for name, files in sorted(folders.items()) if {*OBJECT_POSE_FILES} & files.keys()}
+    names = [name for files in folders.values() for name in files]
+    if not found and any(fnmatch(name, pattern) for name in names for pattern in HOT3D_CLIPS_PATTERNS):
         raise _clips_layout_error(root)
     if not found:
         raise InputError(root, "", f"no {OBJECT_POSE_FILES[0]} below it", "HOT3D recordings")
@@ -123,7 +116,6 @@ def find_hot3d_recordings(root: Path) -> dict[str, dict[str, Path]]:
 
 
 def _clips_layout_error(root: Path) -> InputError:
-    """Make the error for HOT3D-Clips, which hold the same recordings in another layout."""
     got = "HOT3D-Clips (clip-*.tar), another layout, which is not read"
     return InputError(root, "", got, "HOT3D's full recordings, as its own downloader saves them")
 
@@ -140,15 +132,13 @@ def read_recording(name: str, files: dict[str, Path]) -> Hot3dRecording:
 
     headset = next(iter(_read_poses_csv(need("headset_trajectory.csv")).values()))
     stamps = np.array(sorted(headset))
-    # The cameras of one instant are stamped a little apart: their poses come in pairs, of which one is taken.
+    # The cameras of one instant are stamped a little apart: one of each pair of poses is used.
     times = stamps[np.concatenate([[True], np.diff(stamps) > MAX_TIME_DIFFERENCE_NS])]
-    if not 2 <= len(times) <= MAX_HOT3D_FRAMES:
-        raise InputError(need("headset_trajectory.csv"), "", f"{len(times)} frames", f"2 to {MAX_HOT3D_FRAMES}")
+    if not 2 <= len(times) <= MAX_SEQUENCE_FRAMES:
+        raise InputError(need("headset_trajectory.csv"), "", f"{len(times)} frames", f"2 to {MAX_SEQUENCE_FRAMES}")
     T_world_device, _ = _nearest_values(times, headset)
-    objects = {
-        uid: WorldPoses(*_nearest_values(times, poses))
-        for uid, poses in _read_poses_csv(need(*OBJECT_POSE_FILES)).items()
-    }
+    object_poses = _read_poses_csv(need(*OBJECT_POSE_FILES))
+    objects = {uid: WorldPoses(*_nearest_values(times, poses)) for uid, poses in object_poses.items()}
     calibration = need("online_calibration.jsonl", "camera_models.json")
     camera = (
         _read_aria_camera(calibration, times, T_world_device)
@@ -184,8 +174,8 @@ def _read_recorded_hands(
 def _read_aria_camera(path: Path, times: Int[ndarray, "N"], T_world_device: Float[ndarray, "N 4 4"]) -> HeadsetCamera:
     """Read the RGB camera, or else the left SLAM camera, calibrated online.
 
-    The calibration is stamped by another clock than the poses. It drifts by little, so the clocks are set equal at the
-    first frame. Its lens is taken from the first frame, its place on the headset from every frame.
+    The calibration's clock differs from the poses' clock and drifts little, so both are set equal at the first frame.
+    The lens is taken from the first frame, the camera's mount on the headset from every frame.
     """
     lenses: list[Fisheye624] = []
     mounts: dict[int, Float[ndarray, "4 4"]] = {}
@@ -197,9 +187,8 @@ def _read_aria_camera(path: Path, times: Int[ndarray, "N"], T_world_device: Floa
             if label in cameras:
                 mount = cameras[label]["T_Device_Camera"]
                 w, xyz = mount["UnitQuaternion"]
-                mounts[1000 * _parse_positive_integer(line["tracking_timestamp_us"])] = _rigid_from_quaternion(
-                    [w, *xyz, *mount["Translation"]]
-                )
+                time = 1000 * _parse_positive_integer(line["tracking_timestamp_us"])
+                mounts[time] = _rigid_from_quaternion([w, *xyz, *mount["Translation"]])
                 lenses.append(Fisheye624.from_parameters(cameras[label]["Projection"]["Params"], ARIA_CAMERAS[label]))
     if not mounts:
         raise InputError(path, "", "no line", "a calibration for every frame")
@@ -217,11 +206,9 @@ def _read_quest_camera(path: Path, T_world_device: Float[ndarray, "N 4 4"]) -> H
         raise InputError(path, "", f"an unreadable file ({error})", "a JSON list of cameras") from error
     with _input_errors_at(path, "cameras", "a list of Fisheye624 cameras"):
         camera = next(camera for camera in cameras if camera["imageHeight"] >= 640)
-        size = (
-            _parse_positive_integer(camera["imageWidth"], MAX_HOT3D_SIDE_PX),
-            _parse_positive_integer(camera["imageHeight"], MAX_HOT3D_SIDE_PX),
-        )
-        fisheye = Fisheye624.from_parameters(camera["projectionParams"], size)
+        sides = camera["imageWidth"], camera["imageHeight"]
+        width, height = (_parse_positive_integer(side, MAX_HOT3D_SIDE_PX) for side in sides)
+        fisheye = Fisheye624.from_parameters(camera["projectionParams"], (width, height))
         mount = camera["T_Device_Camera"]
         T_device_fisheye = _rigid_from_quaternion([*mount["quaternion_wxyz"], *mount["translation_xyz"]])
         view = _make_upright_pinhole(fisheye)
@@ -230,7 +217,7 @@ def _read_quest_camera(path: Path, T_world_device: Float[ndarray, "N 4 4"]) -> H
 
 
 def _make_upright_pinhole(fisheye: Fisheye624) -> Pinhole:
-    """Make a pinhole of the lens's focal length and image size. Both headsets mount their cameras on the side."""
+    """Make an upright pinhole of the lens's focal length and image size: both headsets mount cameras sideways."""
     width, height = fisheye.size
     return pinhole(fisheye, fisheye.f, (height, width), quarter_turns=1)
 
@@ -238,27 +225,25 @@ def _make_upright_pinhole(fisheye: Fisheye624) -> Pinhole:
 def _nearest_values(
     times: Int[ndarray, "N"], values: dict[int, ndarray]
 ) -> tuple[Float[ndarray, "N ..."], Bool[ndarray, "N"]]:
-    """Return the values nearest to the times, and whether they are near enough (``MAX_TIME_DIFFERENCE_NS``) to stand for them."""
+    """Return the values nearest in time, and which of them are within ``MAX_TIME_DIFFERENCE_NS``."""
     stamps = np.array(sorted(values))
     after = np.minimum(np.searchsorted(stamps, times), len(stamps) - 1)
     before = np.maximum(after - 1, 0)
     nearest = np.where(np.abs(stamps[before] - times) <= np.abs(stamps[after] - times), before, after)
-    return np.stack([values[int(t)] for t in stamps[nearest]]), np.abs(
-        stamps[nearest] - times
-    ) <= MAX_TIME_DIFFERENCE_NS
+    near = np.abs(stamps[nearest] - times) <= MAX_TIME_DIFFERENCE_NS
+    return np.stack([values[int(t)] for t in stamps[nearest]]), near
 
 
 def _read_poses_csv(path: Path) -> dict[str, dict[int, Float[ndarray, "4 4"]]]:
-    """T_world_x by object and time [ns]."""
+    """Read ``T_world_x`` by object and time [ns]."""
     columns = ["t_wo_x[m]", "t_wo_y[m]", "t_wo_z[m]", "q_wo_w", "q_wo_x", "q_wo_y", "q_wo_z"]
+    expected = f"columns object_uid, timestamp[ns], {', '.join(columns)}"
     poses: dict[str, dict[int, Float[ndarray, "4 4"]]] = {}
     text = read_bytes(path, MAX_HOT3D_FILE_BYTES)
     try:
         with io.StringIO(text.decode("utf-8-sig"), newline="") as file:
             for number, row in enumerate(csv.DictReader(file), start=2):
-                with _input_errors_at(
-                    path, f"line {number}", f"columns object_uid, timestamp[ns], {', '.join(columns)}"
-                ):
+                with _input_errors_at(path, f"line {number}", expected):
                     numbers = [float(row[c]) for c in columns]
                     T = _rigid_from_quaternion([*numbers[3:], *numbers[:3]])
                     poses.setdefault(row["object_uid"], {})[_parse_positive_integer(row["timestamp[ns]"])] = T
@@ -280,7 +265,7 @@ def _read_json_lines(path: Path) -> Iterator[tuple[int, Json]]:
 
 
 def _rigid_from_quaternion(numbers: Sequence[float]) -> Float[ndarray, "4 4"]:
-    """From a quaternion (w, x, y, z) and a translation."""
+    """Convert a quaternion (w, x, y, z) and a translation."""
     q_t = _parse_bounded_numbers(numbers, 7)
     if abs(np.linalg.norm(q_t[:4]) - 1.0) > 1e-2:
         raise ValueError("a quaternion that is not of unit length")
@@ -303,7 +288,7 @@ def _parse_bounded_numbers(values: Sequence[float], count: int) -> Float[ndarray
 
 @contextmanager
 def _input_errors_at(path: Path, key: str, expected: str) -> Iterator[None]:
-    """Turn errors in reading untyped data into an ``InputError`` that names the place."""
+    """Convert errors of reading untyped data to an ``InputError`` with the place in the file."""
     try:
         yield
     except KeyError as error:

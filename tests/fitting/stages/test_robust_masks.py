@@ -1,0 +1,66 @@
+"""Outlier masks are left out, in frames that were fitted together and in all others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from getagrip.bench.inputs.perturbations import displace_mask
+from getagrip.fitting.motion import PosesInHand
+from getagrip.fitting.options import Options
+from getagrip.fitting.stages.robust_masks import (
+    OUTLIER_AREA_FRACTION,
+    OUTLIER_MEDIAN_FACTOR,
+    MaskOverlap,
+    medoid_poses,
+    outlier_threshold,
+)
+from getagrip.reconstruct import reconstruct
+from helpers.scenes import SMALL, scene, scores
+
+WRONG = [4, 7]
+"""Of 9 frames, 5 of which are fitted together: one that is among them, and one that is not."""
+
+
+@pytest.mark.parametrize("method", ["soft-hinge", "one-dof"])
+@pytest.mark.slow
+def test_wrong_masks_are_left_out_and_named(method: str) -> None:
+    clip, masks = scene("mug", 2, replace(SMALL, frames=9))
+    wrong = masks.object.copy()
+    for n in WRONG:
+        wrong[n] = displace_mask(masks.object[n], np.array([0.6, -0.8]))
+    spoilt = replace(masks, object=wrong)
+    options = Options(method=method, inits=4, frames=5)
+    result = reconstruct(clip, spoilt, options)
+    assert [clip.frames[n] for n in WRONG] == [clip.frames[n] for n in np.flatnonzero(np.isnan(result.iou))]
+    assert {result.frame_kind[n] for n in WRONG} == {"interpolated"}
+    (message,) = (finding.message for finding in result.findings if finding.check == "outlier-masks")
+    names = f"frames {clip.frames[4]}, {clip.frames[7]}"
+    assert message == f"2 of 9 masks contradict the others and were left out: {names}; --given-masks uses all"
+    assert not any("contradict" in note for note in result.notes)
+    assert result.checks["outlier-masks"] == pytest.approx(2 / 9)
+    off = scores(result, clip, masks)["add_sym_mm"]
+    believing = reconstruct(clip, spoilt, replace(options, masks="as-given"))
+    assert not np.isnan(believing.iou).any()
+    assert scores(believing, clip, masks)["add_sym_mm"] > 2.0 * off
+
+
+@pytest.mark.parametrize("times", [1.0, 3.0])
+def test_a_mask_is_an_outlier_by_the_objects_size_and_by_the_other_masks(times: float) -> None:
+    size, usual = 1000.0, np.array([10.0, 12.0, 14.0])
+    met = MaskOverlap(np.full(3, 800.0), 800.0 + times * usual, np.full(3, size))
+    assert outlier_threshold(met) == max(OUTLIER_AREA_FRACTION * size, OUTLIER_MEDIAN_FACTOR * times * 12.0)
+    poor = met._replace(either=met.either + size)  # all are missed: none contradicts the others
+    assert poor.differing.max() < outlier_threshold(poor)
+
+
+def test_the_typical_pose_is_no_outlier() -> None:
+    R, centre = np.tile(np.eye(3), (1, 9, 1, 1)), np.zeros((1, 9, 3))
+    centre[0, :, 0] = 1e-4 * np.arange(9)
+    centre[0, 4] = 0.1
+    poses = PosesInHand(R, centre, np.ones(1))
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    assert np.abs(medoid_poses(poses, points).centre - centre)[0, np.arange(9) != 4].max() < 1e-3
+    assert np.linalg.norm(medoid_poses(poses, points).centre[0, 4]) < 1e-3

@@ -1,0 +1,221 @@
+"""Drafts between key frames, as polygons, and files made of labels."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from getagrip.clip import read_clip, read_masks
+from getagrip.io.images import write_image
+from getagrip.readers.footage import VideoFootage
+from getagrip.studio import jobs
+from getagrip.studio.masks import propagate_clip
+from getagrip.studio.masks.polygon_drafts import trace_polygons
+from getagrip.studio.store.export_all import write_labelled_grasps
+from getagrip.studio.store.history import RefusedError
+from helpers.annotation import FIRST, LAST, Clicking, disc, filled, iou
+from helpers.clips import box
+from helpers.environment import Run
+from helpers.labelled_scene import HEIGHT, WIDTH, circle, joints
+
+
+def word(basis: dict[str, Any], draft: dict[str, Any]) -> str:
+    """What a draft's frame would be made of now."""
+    (found,) = (word for first, last, word in basis[draft["kind"]] if first <= draft["frame"] <= last)
+    return str(found)
+
+
+@pytest.mark.slow
+def test_frames_between_are_filled_in_and_again_after_a_correction(clicking: Clicking) -> None:
+    clicking.label(FIRST)
+    clicking.label(LAST)
+    assert clicking.work("propagate")["state"] == "done"
+    basis, drafts = clicking.state()["basis"], clicking.project.drafts(clicking.about, 0)["drafts"]
+    found = {(one["kind"], one["frame"]): one for one in drafts}
+    assert found.keys() == {(kind, n) for kind in ("masks", "hand") for n in range(FIRST, LAST + 1)}
+    assert all(one["basis"] == word(basis, one) for one in drafts)
+    for n in range(FIRST, LAST + 1):
+        assert iou(filled(found["masks", n]["content"]["object"]), filled([circle(n)])) > 0.9
+        assert found["masks", n]["content"]["number"] == n + 1
+        off = np.linalg.norm(np.array(found["hand", n]["content"]["joints"]) - joints(n), axis=1)
+        assert np.median(off) < 4.0
+    clicking.click(6, outlines=disc(6))
+    assert clicking.state()["basis"]["masks"] != basis["masks"]
+    assert clicking.state()["basis"]["hand"] == basis["hand"]
+    newest = clicking.state()["drafts"]
+    assert clicking.work("propagate")["state"] == "done"
+    again = clicking.project.drafts(clicking.about, newest)["drafts"]
+    assert {one["kind"] for one in again} == {"masks"}  # the hand is as it was
+    assert {one["frame"] for one in again} == {*range(FIRST + 1, LAST)}  # the two ends, too
+    assert all(one["basis"] == word(clicking.state()["basis"], one) for one in again)
+    assert clicking.work("propagate")["state"] == "done"
+    assert clicking.state()["drafts"] == again[-1]["seq"]  # nothing to be done
+    clicking.click(8, outlines=disc(8))
+    assert clicking.work("propagate")["state"] == "done"
+    between = clicking.project.drafts(clicking.about, again[-1]["seq"])["drafts"]
+    assert {one["frame"] for one in between} == {*range(7, LAST)}  # those before the neighbour are as they were
+
+
+def test_a_stroke_is_asked_for_where_the_result_of_these_masks_does_not_meet_them(
+    clicking: Clicking, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    less = {f"{n + 1:06d}": 0.7 if 5 <= n <= 7 else 1.0 for n in range(FIRST, LAST + 1)}
+    monkeypatch.setattr(jobs, "reconstruct_grasp_files", lambda *_: "done")
+    monkeypatch.setattr(jobs, "iou_by_frame", lambda _: less)
+    clicking.label(FIRST)
+    clicking.label(LAST)
+    assert clicking.work("propagate")["state"] == "done"
+    assert clicking.state()["wanted"] is None  # the masks themselves are sure
+    assert clicking.work("reconstruct", mesh="plate")["state"] == "done"
+    assert clicking.state()["wanted"] == 6
+    clicking.click(6, outlines=disc(6))
+    assert clicking.work("propagate")["state"] == "done"
+    assert clicking.state()["wanted"] is None  # nothing is known of these masks yet
+
+
+def test_too_few_labels_are_reported(clicking: Clicking) -> None:
+    for what in ("propagate", "files"):
+        with pytest.raises(RefusedError):
+            clicking.project.work(clicking.about | {"work": what})
+    clicking.click(4, joints={"0": [10, 20]}, outlines=disc(4))
+    with pytest.raises(RefusedError, match="frame 5 has 1 joints"):
+        clicking.project.work(clicking.about | {"work": "propagate"})
+
+
+@pytest.mark.slow
+def test_clicks_that_are_no_hand_are_reported_with_the_number_of_their_frame_and_masks_filled_in(
+    clicking: Clicking,
+) -> None:
+    clicking.click(FIRST, joints={str(n): [150.0, 100.0] for n in range(21)}, outlines=disc(FIRST))
+    job = clicking.work("propagate")
+    assert job["state"] == "failed"
+    assert f"frame {FIRST + 1} " in job["message"]
+    drafts = clicking.project.drafts(clicking.about, 0)["drafts"]
+    assert [(one["kind"], one["frame"]) for one in drafts] == [("masks", n) for n in range(FIRST, LAST + 1)]
+
+
+@pytest.mark.slow
+def test_files_of_images_that_are_numbered_otherwise_make_a_clip(
+    scene_video: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the numbers in their names, of which one is missing."""
+    monkeypatch.setattr(propagate_clip, "OBJECT_WORKING_SIZE_PX", 50.0)
+    images = tmp_path / "images"
+    images.mkdir()
+    with closing(VideoFootage(scene_video)) as video:
+        for n in range(video.frames):
+            write_image(images / f"picture-{n + 25 + (n > 5)}.png", video.image(n))
+    clicking = Clicking(images, tmp_path)
+    try:
+        for frame in (FIRST, LAST):
+            clicking.label(frame)
+        job = clicking.work("files")
+    finally:
+        clicking.project.close()
+    assert job["state"] == "done", job
+    words = job["message"].replace("MESH", "plate").replace("CLIP", str(tmp_path / "clip")).split()
+    status, _, err = run(*words[1:])
+    assert status == 0, err
+    clip = read_clip(tmp_path / "clip")
+    assert clip.frames == tuple(f"picture-{n + 25 + (n > 5)}" for n in range(FIRST, LAST + 1))
+    assert iou(read_masks(clip).object[-1], filled([circle(LAST)])) > 0.9
+
+
+def test_masks_of_epic_s_videos_are_named_by_place_as_a_clip_s_frames_are(scene_video: Path, tmp_path: Path) -> None:
+    """Not by EPIC's numbers, at 60 a second, which the page shows."""
+    video = tmp_path / "P01_01.mp4"
+    shutil.copy(scene_video, video)
+    clicking = Clicking(video, tmp_path)
+    try:
+        for frame in (FIRST, LAST):
+            clicking.label(frame)
+        assert clicking.work("files")["state"] == "done"
+    finally:
+        clicking.project.close()
+    names = [f"{n + 1:06d}.png" for n in range(FIRST, LAST + 1)]
+    assert sorted(path.name for path in tmp_path.glob("*/masks/*.png")) == names
+
+
+@pytest.mark.slow
+def test_files_make_a_clip_and_labels_are_taken_back(
+    clicking: Clicking, scene_video: Path, run: Run, tmp_path: Path
+) -> None:
+    for frame in (FIRST, LAST):
+        clicking.label(frame)
+    clicking.click(7, hidden=False, outlines={"in-front": {"of": "front", "closed": True, "points": circle(1)}})
+    job = clicking.work("files")
+    assert job["state"] == "done", job
+    (tmp_path / "mesh.obj").write_text(
+        "".join(f"v {x} {y} {z}\n" for x, y, z in box(0.1, 0.1, 0.01).vertices)
+        + "".join("f {} {} {}\n".format(*(face + 1)) for face in box(1, 1, 1).faces)
+    )
+    words = job["message"].replace("MESH", str(tmp_path / "mesh.obj")).replace("CLIP", str(tmp_path / "clip")).split()
+    status, _, err = run(*words[1:])
+    assert status == 0, err
+    clip = read_clip(tmp_path / "clip")
+    masks = read_masks(clip)
+    assert (len(clip), clip.side) == (LAST - FIRST + 1, "left")
+    seen, row = filled([circle(6)]), 6 - FIRST
+    assert iou(masks.object[row], seen) > 0.9
+    assert masks.ignore[row].any()  # the hand is in front
+    (file,) = tmp_path.glob("labels-*.json")
+    other = tmp_path / "other"
+    assert run("annotate", scene_video, "--out", other, "--import-labels", file, "--annotator", "bob")[0] == 0
+    call = ("annotate", scene_video, "--out", other, "--import-labels", file, "--annotator", "bob", "--export")
+    status, out, err = run(*call)
+    assert status == 0
+    assert f"making the hand and the masks of {len(clip)} frames ...\n" in out
+    assert f"hand.npz and masks of {len(clip)} frames; a clip is made of them, with the object's mesh, by\n" in out
+    assert err == "bob: 1 grasp is not in this list: name the kind of object on the page to have it there, too\n"
+    (again,) = other.glob("labels-*.json")
+    assert again.read_text() == file.read_text()
+    assert len(json.loads((other / "grasps-bob.json").read_text())) <= 1  # the grasp was marked once
+    assert run("annotate", scene_video, "--out", other, "--import-labels", scene_video)[0] == 1
+    wrong = json.loads(file.read_text()) | {"video": "other.mp4", "sha256": 64 * "0"}
+    (tmp_path / "wrong.json").write_text(json.dumps(wrong))
+    status, _, err = run("annotate", scene_video, "--out", other, "--import-labels", tmp_path / "wrong.json")
+    assert status == 1
+    assert "wrong.json" in err
+
+
+def test_labels_that_do_not_suffice_are_exported_alone(clicking: Clicking, capsys: Any, tmp_path: Path) -> None:
+    clicking.click(4, outlines=disc(4))
+    assert write_labelled_grasps(clicking.project) == 1
+    assert "labels only" in capsys.readouterr().err
+    assert len(list(tmp_path.glob("labels-*.json"))) == 1
+
+
+shapes = st.lists(
+    st.tuples(st.integers(40, 280), st.integers(40, 200), st.integers(8, 60), st.integers(8, 60), st.booleans()),
+    min_size=1,
+    max_size=4,
+)
+
+
+@given(shapes)
+def test_traced_polygons_give_the_mask_again(shapes: list[tuple[int, int, int, int, bool]]) -> None:
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    mask = np.zeros((HEIGHT, WIDTH), bool)
+    for x, y, a, b, adds in shapes:
+        inside = ((u - x) / a) ** 2 + ((v - y) / b) ** 2 < 1
+        mask = mask | inside if adds else mask & ~inside
+    found = trace_polygons(mask)
+    if mask.sum() > 400:
+        assert iou(filled(found), mask) > 0.93
+    assert all(len(one) >= 3 for one in found)
+
+
+def test_a_ring_has_one_polygon_with_its_hole() -> None:
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    distance = np.hypot(u - 150, v - 120)
+    ring = (distance < 80) & (distance > 40)
+    (outline,) = trace_polygons(ring)
+    assert iou(filled([outline]), ring) > 0.97
