@@ -7,7 +7,7 @@
                                              behind it: "interval", "difference" (of pairs), "notes"
     {{ inputs TABLE METHOD... }}             how often methods are right with each kind of input, in hand and camera,
                                              and their errors; METHOD=TABLE: of one that has a table of its own
-    {{ headline TABLE METHOD METHOD=TABLE }} of these the four of README: masks and meshes exact, hands as they are and off
+    {{ headline TABLE METHOD METHOD=TABLE }} of these the four of README, by how hands are off
     {{ objects TABLE METHOD }}               how often a method is right with each object, its size, and the errors
     {{ methods COLUMN }}                     a column of all methods, by set of clips
     {{ leaderboard }}                        every method on every real motion, and what others printed

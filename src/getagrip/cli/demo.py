@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from getagrip.cli.command import Command
-from getagrip.io.options import Folder
+from getagrip.io.options import Flag, Folder, OptionalFolder
 
 if TYPE_CHECKING:
     from getagrip.clip import Clip
@@ -23,6 +23,11 @@ class Demo(Command):
 
     out: Folder = Path("out/demo")
     """Folder of the clip, the result, report.png and report.html."""
+    video: Flag = False
+    """Begin at pixels: render a video, find hand and object in it as draft does, and print the errors of each stage.
+    This needs getagrip doctor --fetch hands."""
+    models: OptionalFolder = None
+    """With --video: folder of the hand models (default: the cache)."""
 
     def run(self) -> int:
         """Write the clip to ``out/clips/``, and the result to ``out/<clip name>/``.
@@ -30,6 +35,10 @@ class Demo(Command):
         An earlier demo's clip is used again, its result and report are replaced. Raises ``UsageError`` for other files
         at these places.
         """
+        if self.video:
+            from getagrip.cli.demo_video import run_demo_video
+
+            return run_demo_video(DEMO_CATEGORY, DEMO_SEED, self.out, self.models)
         from getagrip.clip import input_sha256, read_masks
         from getagrip.compiling import COMPILATION_MESSAGE, compile_once
         from getagrip.io import files

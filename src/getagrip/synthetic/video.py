@@ -8,7 +8,7 @@ with a highlight, one lamp with a soft shadow, procedural textures, a shutter th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -47,6 +47,7 @@ BLUR_SIGMA_PX, READ_NOISE, SHOT_NOISE = 0.6, 0.006, 0.018
 GAMMA = 2.2
 VIDEO_SIZE_PX = 960, 720
 """Width and height of a video that is written."""
+VIDEO_FILE, MESH_FILE = "video.mp4", "mesh.obj"
 BOX_MARGIN_PX = 4.0
 """Margin about the object of the box in the first frame."""
 
@@ -228,9 +229,8 @@ def render_video(scene: Scene, size: tuple[int, int], seed: int = 0) -> Iterator
     frame is exposed about its moment in the clip: the clip's poses are those in the middle of its blur.
     """
     look, bodies, noise = VideoLook.draw(seed), _Bodies.of(scene), np.random.default_rng([seed, *b"sensor"])
-    clip = scene.clip
-    K = np.diag([size[0] / clip.size[0], size[1] / clip.size[1], 1.0]) @ clip.K[0]
-    for n in range(len(clip)):
+    K = at_video_size(scene, size).clip.K[0]
+    for n in range(len(scene.clip)):
         lamp = _Lamp.over(bodies, n)
         room = _draw_room(bodies, n, K, size, look, lamp)
         light = np.zeros_like(room)
@@ -369,23 +369,35 @@ class RenderedVideo:
         return f"getagrip draft {self.video} {known} --no-page"
 
 
+def at_video_size(scene: Scene, size: tuple[int, int]) -> Scene:
+    """Return the scene as a camera of another size in pixels sees it."""
+    clip = scene.clip
+    zoom = np.diag([size[0] / clip.size[0], size[1] / clip.size[1], 1.0])
+    return replace(scene, clip=replace(clip, size=size, K=zoom @ clip.K))
+
+
 def write_rendered_video(scene: Scene, folder: Path, seed: int, on_frame: Callable[[], None]) -> RenderedVideo:
     """Render a scene into a new folder, ``video.mp4`` and ``mesh.obj``; call ``on_frame`` after each frame."""
-    clip, truth, size = scene.clip, scene.clip.truth, VIDEO_SIZE_PX
-    assert truth is not None
 
     def watched() -> Iterator[UInt8[ndarray, "H W 3"]]:
-        for picture in render_video(scene, size, seed):
+        for picture in render_video(scene, VIDEO_SIZE_PX, seed):
             yield picture
             on_frame()
 
     with files.new_folder(folder) as made:
-        write_video(made / "video.mp4", watched(), Fraction(clip.fps).limit_denominator(1000), size)
-        write_mesh(scene.object, made / "mesh.obj")
-    K = np.diag([size[0] / clip.size[0], size[1] / clip.size[1], 1.0]) @ clip.K[0]
+        rate = Fraction(scene.clip.fps).limit_denominator(1000)
+        write_video(made / VIDEO_FILE, watched(), rate, VIDEO_SIZE_PX)
+        write_mesh(scene.object, made / MESH_FILE)
+    return describe_rendered_video(scene, folder)
+
+
+def describe_rendered_video(scene: Scene, folder: Path) -> RenderedVideo:
+    """Return what a user would state about the video of a scene, in the folder that ``write_rendered_video`` made."""
+    truth, K, size = scene.clip.truth, at_video_size(scene, VIDEO_SIZE_PX).clip.K[0], np.array(VIDEO_SIZE_PX)
+    assert truth is not None
     uv = project(K, se3.transform(truth.T_cam_obj[0], scene.object.vertices))
-    low, high = np.clip([uv.min(axis=0) - BOX_MARGIN_PX, uv.max(axis=0) + BOX_MARGIN_PX], 0.0, np.array(size))
+    low, high = np.clip([uv.min(axis=0) - BOX_MARGIN_PX, uv.max(axis=0) + BOX_MARGIN_PX], 0.0, size)
     box = float(low[0]), float(low[1]), float(high[0] - low[0]), float(high[1] - low[1])
-    size_mm = 1e3 * float(np.ptp(scene.object.vertices, axis=0).max())
     pinhole = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
-    return RenderedVideo(folder / "video.mp4", folder / "mesh.obj", pinhole, box, size_mm)
+    size_mm = 1e3 * float(np.ptp(scene.object.vertices, axis=0).max())
+    return RenderedVideo(folder / VIDEO_FILE, folder / MESH_FILE, pinhole, box, size_mm)
