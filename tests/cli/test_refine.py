@@ -57,7 +57,7 @@ def test_a_file_that_changed_is_refused(tmp_path: Path, mug: tuple[Clip, Masks])
     clip, _ = mug
     np.savez(tmp_path / "poses.npz", T_cam_obj=flipped(clip), frames=np.array(clip.frames))
     stale = replace(options(tmp_path / "poses.npz"), priors=PriorsFile(tmp_path / "poses.npz", "0" * 64))
-    with pytest.raises(Exception, match="another content"):
+    with pytest.raises(Exception, match="has changed since"):
         read_initial_poses(clip, stale)
 
 

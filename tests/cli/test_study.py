@@ -309,8 +309,8 @@ def test_damaged_tables_are_reported_by_line_and_column(
         ('{"version": 1, "grasps": [{"sequence": "s", "object": "a", "side": "left", "first": 3}]}', "grasps[0].first"),
         ('{"version": 1, "grasps": [], "cuts": {}}', "got an unknown key"),
         (LIST.replace("0,29", "30,29"), "line 2, end"),
-        ("[[[", "no JSON"),
-        ("[" * 100_000, "no JSON"),
+        ("[[[", "invalid JSON"),
+        ("[" * 100_000, "invalid JSON"),
     ],
 )
 def test_damaged_lists_are_reported_by_row_and_key(run: Run, tmp_path: Path, content: str, words: str) -> None:

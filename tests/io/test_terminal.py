@@ -34,4 +34,4 @@ def test_other_writers_have_numbers_only() -> None:
     """Poses and BOP's results are formatted by their writers, which know what is a number."""
     files = Path(getagrip.__file__).parent.rglob("*.py")
     writers = {path.name for path in files if re.search(r"csv\.(Dict)?[wW]riter", path.read_text("utf-8"))}
-    assert writers == {"terminal.py", "poses_csv.py", "bop.py", "object_poses.py"}
+    assert writers == {"terminal.py", "scene.py", "object_poses.py"}

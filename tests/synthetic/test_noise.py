@@ -14,7 +14,7 @@ from getagrip.clip import Clip, Masks
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands import generic
-from getagrip.hands.generic import bend_fingers, finger_hinge_axes, finger_weights
+from getagrip.hands.bending import bend_fingers, finger_hinge_axes, finger_weights
 from getagrip.hands.model import KNUCKLES
 from getagrip.synthetic.noise import (
     ESTIMATED_HANDS_FILE,

@@ -29,7 +29,6 @@ from getagrip.clip import Clip, HandTrack, Masks
 from getagrip.errors import InputError, NamedFields
 from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
-from getagrip.hands.generic import bend_fingers, finger_weights
 from getagrip.provenance import estimated
 
 ESTIMATED_HANDS_FILE = Path(__file__).with_name("estimated_hands.json")
@@ -107,6 +106,8 @@ def perturbed(clip: Clip, masks: Masks, noise: Noise, seed: int | Sequence[int])
 
 def noisy_hand(clip: Clip, noise: Noise, rng: np.random.Generator) -> HandTrack:
     """Displace the clip's hand; see ``perturbed``."""
+    from getagrip.hands.bending import bend_fingers, finger_weights  # with kernels; options are light to load
+
     errors = draw_hand_errors(noise, len(clip), clip.fps, rng)
     middle = clip.hand.vertices.mean(axis=(0, 1))
     R = se3.exp_so3(errors.turn)

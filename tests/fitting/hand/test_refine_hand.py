@@ -20,7 +20,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.kernels.silhouette import unpack
 from getagrip.geometry.rasterize import render_coverage
-from getagrip.hands.generic import bend_fingers, finger_weights
+from getagrip.hands.bending import bend_fingers, finger_weights
 from getagrip.provenance import assumed, estimated
 from getagrip.reconstruct import reconstruct
 from getagrip.synthetic.noise import Noise, noisy_hand

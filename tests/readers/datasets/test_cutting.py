@@ -143,7 +143,7 @@ def test_the_list_beside_the_clips_is_theirs(tmp_path: Path, run: Run, capsys: p
         with pytest.raises(UsageError, match=r"--out .* cannot be used with this import: it holds clips cut as"):
             import_clips(other, out, debug=False)
     (out / "grasps.json").unlink()
-    with pytest.raises(UsageError, match=r"no grasps\.json that says how"):
+    with pytest.raises(UsageError, match=r"without a grasps\.json that states how"):
         import_clips(OneTrack(), out, debug=False)
 
 

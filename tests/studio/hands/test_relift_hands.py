@@ -22,7 +22,7 @@ from getagrip.hands.model import hand_track
 from getagrip.provenance import Provenance, Source, assumed, estimated, measured, provenance_to_arrays
 from getagrip.studio.hands import relift_hands
 from getagrip.studio.hands.relift_hands import JOINTS_DEPTH_KEY, LabelMaps, relift_hand, write_relifted_hands
-from getagrip.studio.store.export_clip import clip_arguments
+from getagrip.studio.store.export_clip import new_clip_call
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, Labels
 
 K = np.array([[500.0, 0.0, 160.0], [0.0, 500.0, 160.0], [0.0, 0.0, 1.0]])
@@ -143,11 +143,9 @@ def test_the_object_decides_on_the_side_where_that_is_a_guess(
     said = "".join(capsys.readouterr())
     assert ("--side right overrules this" in said) == (side.basis == "assumed")
     labels = Labels("a.mp4", SIZE, "right", 30.0, 3, 10, {})
-    words = clip_arguments(labels, tmp_path, "a.mp4")
-    assert words[words.index("--side") + 1] == "right"  # there is no hand.npz yet
+    assert new_clip_call(labels, tmp_path, "a.mp4").side == "right"  # there is no hand.npz yet
     (tmp_path / "out.npz").rename(tmp_path / "hand.npz")
-    words = clip_arguments(labels, tmp_path, "a.mp4")
-    assert words[words.index("--side") + 1] == str(written["side"])
+    assert new_clip_call(labels, tmp_path, "a.mp4").side == str(written["side"])
     order, frames = relift_hands.joint_depth_order(read_hand(tmp_path / "hand.npz", 5), FRAMES, K, maps)
     assert frames == len(FRAMES)
     assert (order > 0.0) == (side.basis == "assumed")

@@ -16,7 +16,7 @@ from getagrip.stable_grasps import grasp_lists
 from getagrip.studio.project import Project
 from getagrip.studio.store import labels, mark_store, marks
 from getagrip.studio.store.export_all import write_mark_files
-from getagrip.studio.store.export_clip import clip_arguments
+from getagrip.studio.store.export_clip import new_clip_call
 from getagrip.studio.store.history import RefusedError
 from getagrip.studio.store.mark_store import MARKS_APPLICATION_ID, MarkStore
 from getagrip.studio.store.tasks import Task
@@ -94,9 +94,9 @@ def test_all_of_it_is_labelled_as_one(project: Project) -> None:
     segments(project, ("free", 61, 65, "left"))
     assert project.labels(asked)["extent"] == (0, 65)  # what is labelled stays where segments are added
     grasp = project._grasp(asked)
-    words = clip_arguments(project.labelling.labels(grasp), Path("out"), "cup.mp4", project.labelling._segments(grasp))
-    assert words[3:7] == ["--interval", "1", "66", "--side"]
-    assert words[-2] == "--segments"
+    call = new_clip_call(project.labelling.labels(grasp), Path("out"), "cup.mp4", project.labelling._segments(grasp))
+    assert call.interval == (1, 66)
+    assert call.segments is not None
 
 
 def test_stable_grasps_alone_are_no_interaction(project: Project) -> None:

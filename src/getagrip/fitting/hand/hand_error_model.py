@@ -25,7 +25,7 @@ from numpy import ndarray
 
 from getagrip.clip import HandTrack
 from getagrip.geometry import se3
-from getagrip.hands.generic import FINGER_CHAINS, bend_fingers, finger_hinge_axes, finger_spread_axes, finger_weights
+from getagrip.hands.bending import FINGER_CHAINS, bend_fingers, finger_hinge_axes, finger_spread_axes, finger_weights
 from getagrip.least_squares import BlockArrow
 
 ROTATION_ERRORS, TRANSLATION_ERRORS, SIZE_ERROR = slice(0, 3), slice(3, 6), 6

@@ -25,7 +25,7 @@ from getagrip.clip import Clip, HandTrack, Masks
 from getagrip.fitting.hand.hand_error_model import AssumedErrors, HandErrors, HandFit
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
-from getagrip.hands.generic import BONE_OF_JOINT
+from getagrip.hands.bending import BONE_OF_JOINT
 from getagrip.provenance import is_assumed, kind_of_hands
 
 JOINT_STUDENT_T_DOF = 4.0
