@@ -40,8 +40,8 @@ def draft(out: Path) -> tuple[Path, Path, RenderedVideo]:
     video = write_rendered_video(make_scene("mug", 2, SceneOptions(frames=90)), out / "video", 2, lambda: None)
     words = shlex.split(video.command())[1:]
     assert main([*words, "--out", str(out / "draft")]) == 0
-    (clip,), (result,) = (list((out / "draft" / kind).iterdir()) for kind in ("clips", "results"))
-    return clip, result, video
+    (clip,) = (path.parent for path in (out / "draft" / "clips").glob("*/clip.json"))
+    return clip, out / "draft" / "results" / clip.name, video
 
 
 def tiles(clip_folder: Path, result_folder: Path, video: RenderedVideo) -> list[Image.Image]:

@@ -96,7 +96,7 @@ def test_wrong_calls_exit_with_2(run: Run, args: tuple[str, ...], tmp_path: Path
         ("clip --out x", "unknown command 'clip --out'; choose from clip new"),
         ("init lern", "unknown command 'init lern'; choose from init learn"),
         ("e", "unknown command 'e'; choose from export, evaluate, epic candidates"),
-        ("frobnicate", "unknown command 'frobnicate'; choose from demo, doctor, draft"),
+        ("frobnicate", "unknown command 'frobnicate'; choose from demo, doctor, synthesise, draft"),
         ("import dexicb root --out x", "unknown command 'import dexicb'; choose from import dexycb"),
         ("import frobnicate", "unknown command 'import frobnicate'; choose from hot3d, dexycb"),
         ("figure galery", "unknown command 'figure galery'; choose from figure gallery"),

@@ -80,6 +80,7 @@ CALLS: dict[str, Sequence[str]] = {
     "refine": ["theirs.npy --clips clips --out out --workers 1 --overwrite"],
     "report": ["results/small --mp4", "results --workers 1"],
     "status": ["results"],
+    "synthesise": ["bottle --frames 2 --out out --video"],
     "view": ["results"],
     **{f"figure {name}": ["results/small --out new/out.png"] for name in FIGURES},
     "figure ihoi": ["results/small --meshes other=meshes --out new/out.png"],
@@ -148,6 +149,7 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
     parsed = cache(cli._parse_command)
     places = {
         "studio.server.StudioServer.serve_forever": ended,
+        "synthetic.video.VIDEO_SIZE_PX": (160, 120),
         "compiling.compile_once": lambda *_: None,
         "cli._parse_command": lambda words: parsed(tuple(words)),
         "synthetic.scene_options.DEMO_SCENE_OPTIONS": SHORT,

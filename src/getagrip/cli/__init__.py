@@ -66,8 +66,8 @@ def command_groups(imports: Any, figures: Any) -> dict[str, tuple[Any, ...]]:
     return {
         "Start": (
             Annotated[Demo, subcommand("demo")],
-            Annotated[Synthesise, subcommand("synthesise")],
             Annotated[Doctor, subcommand("doctor")],
+            Annotated[Synthesise, subcommand("synthesise")],
         ),
         "Video": (
             Annotated[Draft, subcommand("draft")],

@@ -50,7 +50,8 @@ def run_demo_video(category: str, seed: int, out: Path, models: Path | None, fra
     status = _draft_of(video, drafted, models).run()
     if status:
         return status
-    (clip_folder,), (result_folder,) = ([*(drafted / kind).iterdir()] for kind in ("clips", "results"))
+    (clip_folder,) = (path.parent for path in (drafted / "clips").glob("*/clip.json"))
+    result_folder = drafted / "results" / clip_folder.name
     errors = measure_draft(scene, read_clip(clip_folder), read_result(result_folder)[0])
     screen.print(
         "\n".join(
