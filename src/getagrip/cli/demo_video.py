@@ -112,6 +112,6 @@ def measure_draft(scene: Scene, clip: Clip, result: Reconstruction) -> dict[str,
     turned = np.degrees(se3.angle_between(result.T_cam_obj[:, :3, :3], truth.T_cam_obj[at, :3, :3]))
     share = 100.0 * np.median(off) / scene.object.diameter
     errors["object, distance of its vertices"] = f"{1e3 * np.median(off):.1f} mm, {share:.1f} % of its diameter"
-    errors["object, along the ray"] = f"{1e3 * np.median(shift):+.1f} mm"
+    errors["object, along the ray"] = f"{round(1e3 * float(np.median(shift)), 1) + 0.0:+.1f} mm"
     errors["object, rotation"] = f"{np.median(turned):.1f} degrees"
     return errors
