@@ -85,7 +85,7 @@ def test_a_failure_is_left_to_the_clips(marked: Path, compiles: Callable[..., No
 
 def test_the_folder_depends_on_the_kernels_and_on_numba(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    folder = compiling.kernel_cache_folder.__wrapped__
+    folder = compiling.folder.__wrapped__
     before = folder()
     assert before.parent == tmp_path
     monkeypatch.setattr("numba.__version__", "0.0.0")
@@ -141,7 +141,7 @@ def test_kernels_are_not_read_where_others_can_write(
 ) -> None:
     monkeypatch.setattr(terminal, "_is_private_group", lambda group, owner: False)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
-    folder = compiling.kernel_cache_folder.__wrapped__
+    folder = compiling.folder.__wrapped__
     mine = folder()
     mine.parent.chmod(mode)
     taken = folder()

@@ -140,7 +140,7 @@ def numba_signature(arguments: str) -> tuple[types.Type, ...]:
 
 
 @cache
-def kernel_cache_folder() -> Path:
+def folder() -> Path:
     """Return the folder of the compiled kernels: in ``NUMBA_CACHE_DIR``, else in the user's cache.
 
     Its files are executed. If other users can write there, this process and its children use a temporary folder.
@@ -168,7 +168,7 @@ def mark_file() -> Path:
     from numba.core.registry import cpu_target
 
     processor = cpu_target.target_context.codegen().magic_tuple()  # numba's own key of cached code
-    return kernel_cache_folder() / f"compiled.{hashlib.sha256(repr(processor).encode()).hexdigest()[:16]}"
+    return folder() / f"compiled.{hashlib.sha256(repr(processor).encode()).hexdigest()[:16]}"
 
 
 def _is_mark_set(mark: Path) -> bool:
@@ -204,10 +204,10 @@ class _KernelCacheLocator(_CacheLocator):  # type: ignore[misc]
         self._py_file, self._module = py_file, py_func.__module__
 
     def get_cache_path(self) -> str:
-        return str(kernel_cache_folder())
+        return str(folder())
 
     def get_source_stamp(self) -> str:
-        return kernel_cache_folder().name
+        return folder().name
 
     def get_disambiguator(self) -> str:
         return str(self._module)

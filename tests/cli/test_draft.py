@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from getagrip.cli import calls
-from getagrip.cli.annotate import MARKS_DATABASE
+from getagrip.cli.annotate import DATABASE
 from getagrip.cli.calls import command_of_call
 from getagrip.cli.command import Command
 from getagrip.cli.import_hands import HandFile
@@ -24,7 +24,7 @@ from getagrip.fitting.options import Options
 from getagrip.io.images import read_png
 from getagrip.studio.hands.detect_hands import find_jumps, is_cut
 from getagrip.studio.jobs import CommandCall
-from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.mark_store import Store
 from helpers.environment import Run
 from helpers.labelled_scene import HEIGHT, POINTS, RADIUS, WIDTH, SceneNets, middle, write_scene
 
@@ -64,7 +64,7 @@ def test_hands_masks_and_marks_are_there(scene: Path, run: Run) -> None:
     np.testing.assert_allclose(hand.joints_2d, np.tile(POINTS, (8, 1, 1)))
     names = sorted(path.name for path in (found.path.parent / "masks").iterdir())
     assert names == [f"{n:06d}.png" for n in range(1, 9)]
-    store = MarkStore(scene.parent / "out" / MARKS_DATABASE)
+    store = Store(scene.parent / "out" / DATABASE)
     (mark,) = store.marks.standing()
     store.close()
     assert (mark.interval, mark.side) == ((0, 7), "left")

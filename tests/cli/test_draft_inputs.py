@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from getagrip.cli import calls
-from getagrip.cli.annotate import MARKS_DATABASE
+from getagrip.cli.annotate import DATABASE
 from getagrip.cli.calls import run_call
 from getagrip.cli.import_hands import HandFile
 from getagrip.clip import Clip
 from getagrip.clip.read_arrays import read_hand
 from getagrip.io.images import read_png, write_mask
 from getagrip.studio.jobs import CommandCall, NewClipCall
-from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.mark_store import Store
 from helpers.environment import Run
 from helpers.hand_files import Known
 from helpers.labelled_scene import HEIGHT, POINTS, RADIUS, WIDTH, SceneNets, middle, write_scene
@@ -249,6 +249,6 @@ def test_grasps_are_found_and_marked(scene: Path, run: Run, monkeypatch: pytest.
         status, _, err = run(*DRAFT, said[:2], *words)
         assert status == 0, err
         assert said in err
-        store = MarkStore(scene / said[:2] / MARKS_DATABASE)
+        store = Store(scene / said[:2] / DATABASE)
         assert [mark.interval for mark in store.marks.standing()] == marked
         store.close()

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from getagrip.cli.annotate import MARKS_DATABASE
+from getagrip.cli.annotate import DATABASE
 from getagrip.cli.export import Export
 from getagrip.io import files
 from getagrip.studio import jobs
 from getagrip.studio.store import labels
 from getagrip.studio.store.labels import FrameLabels, Labels
-from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.mark_store import Store
 from helpers.environment import Run
 from helpers.labelled_scene import HEIGHT, WIDTH, SceneNets, circle, write_scene
 
@@ -48,7 +48,7 @@ def test_videos_are_drafted_once_and_a_broken_one_ends_nothing(videos: Path, run
     status, out, _ = run(*LABEL)
     assert status == 0
     assert made == {path: path.stat().st_mtime_ns for path in made}
-    store = MarkStore(videos.parent / "out" / MARKS_DATABASE)
+    store = Store(videos.parent / "out" / DATABASE)
     assert [(mark.task, mark.interval, mark.side) for mark in store.marks.standing()] == [
         ("a", (0, 5), "left"), ("b", (0, 5), "left"),
     ]  # fmt: skip

@@ -35,7 +35,7 @@ from getagrip.report.pictures.result_view import View
 from getagrip.result import SegmentResult, read_result, read_result_record, write_result
 from getagrip.stable_grasps import grasp_lists as stable_grasps_grasp_lists
 from getagrip.studio.store import labels, tasks
-from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.mark_store import Store
 from getagrip.timelines.detect.detect_segments import find_segments
 from helpers.clips import box, small_clip
 from helpers.results import true_result
@@ -107,7 +107,7 @@ def use_ledger(folder: Path) -> None:
 
 def marks(folder: Path) -> None:
     """A database of a mark and a key frame."""
-    store = MarkStore(folder / "marks.sqlite")
+    store = Store(folder / "marks.sqlite")
     with store.database.transaction() as db:
         db.execute(
             "INSERT INTO versions (change, tab, at, mark, task, annotator, start, deleted) "
@@ -124,7 +124,7 @@ def marks(folder: Path) -> None:
 
 def use_marks(folder: Path) -> None:
     """What the page asks for."""
-    store = MarkStore(folder / "marks.sqlite")
+    store = Store(folder / "marks.sqlite")
     store.marks.standing()
     store.marks.history("m")
     for keyframe in store.keyframes.standing():

@@ -21,7 +21,7 @@ from getagrip.io import files
 from getagrip.io.storage import RemotePath
 from getagrip.studio.project import Project
 from getagrip.studio.server import CHANGE_ROUTES
-from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.mark_store import Store
 from getagrip.studio.store.tasks import Task
 from helpers.clips import small_clip
 
@@ -126,7 +126,7 @@ def answer(folder: Path) -> None:
             cv2.imwrite(str(images / f"{n}.png"), np.full((48, 64, 3), n, np.uint8))
     refused = None
     with TemporaryDirectory(dir=SHARED) as out:
-        project = Project([Task("t", "t", images)], MarkStore(Path(out) / "marks.sqlite"))
+        project = Project([Task("t", "t", images)], Store(Path(out) / "marks.sqlite"))
         for line in lines:
             try:
                 path, content = (line.get("path"), line.get("content")) if isinstance(line, dict) else (None, None)

@@ -25,12 +25,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from getagrip.cli.annotate import MARKS_DATABASE
+from getagrip.cli.annotate import DATABASE
 from getagrip.readers.masks.mask_regions import fill_polygons
 from getagrip.studio.project import Project
-from getagrip.studio.server import StudioServer
+from getagrip.studio.server import Server
 from getagrip.studio.store.labels import KeyFrame
-from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.mark_store import Store
 from getagrip.studio.store.tasks import Task
 from helpers.environment import needs_library
 from helpers.labelled_scene import HEIGHT, WIDTH, circle, joints
@@ -52,7 +52,7 @@ class Clicking:
     """A project, and a grasp that somebody labels in it."""
 
     def __init__(self, video: Path, folder: Path, who: str = "ann") -> None:
-        self.project = Project([Task(VIDEO, VIDEO, video)], MarkStore(folder / MARKS_DATABASE))
+        self.project = Project([Task(VIDEO, VIDEO, video)], Store(folder / DATABASE))
         self.about = {"task": VIDEO, "annotator": who, "grasp": new()}
         start = {"start": FIRST, "side": "left", "category": "disc"}
         for sets in (start, {"end": LAST}):
@@ -209,8 +209,8 @@ class Served:
         self.start()
 
     def start(self) -> None:
-        self.project = Project(self.tasks, MarkStore(self.database))
-        self.server = StudioServer(self.project, self.port, "a-token")
+        self.project = Project(self.tasks, Store(self.database))
+        self.server = Server(self.project, self.port, "a-token")
         self.port = self.server.server_port
         self.thread = threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.02})
         self.thread.start()
@@ -226,7 +226,7 @@ class Served:
 
 
 def ask(
-    server: StudioServer, path: str, content: object = None, head: dict[str, str] | None = None
+    server: Server, path: str, content: object = None, head: dict[str, str] | None = None
 ) -> tuple[int, dict[str, str], bytes]:
     """GET, or POST where there is content."""
     connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)

@@ -148,7 +148,7 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
     by = {"ours": {"segments": [in_a_timeline], "jumps": [], "seconds": 0.1}}
     parsed = cache(cli._parse_command)
     places = {
-        "studio.server.StudioServer.serve_forever": ended,
+        "studio.server.Server.serve_forever": ended,
         "synthetic.video.VIDEO_SIZE_PX": (160, 120),
         "compiling.compile_once": lambda *_: None,
         "cli._parse_command": lambda words: parsed(tuple(words)),

@@ -34,7 +34,7 @@ from getagrip.readers.masks import mask_regions
 from getagrip.readers.masks.mask_request import MaskRequest
 from getagrip.readers.masks.mask_sources import open_masks
 from getagrip.readers.trackers import records
-from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.mark_store import Store
 
 
 class Stop(BaseException):
@@ -338,7 +338,7 @@ def test_a_damaged_cache_of_mano_is_no_error(tmp_path: Path) -> None:
 
 
 def store_with(path: Path, *statements: str) -> Path:
-    MarkStore(path).close()
+    Store(path).close()
     with sqlite3.connect(path) as db:
         for statement in statements:
             db.execute(statement)
@@ -355,7 +355,7 @@ KEYFRAME = (
 def test_a_database_with_a_view_of_a_strangers_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
     endless = "WITH RECURSIVE n(i) AS (VALUES(1) UNION ALL SELECT i FROM n) SELECT i FROM n"
     path = store_with(tmp_path / "a.sqlite", "DROP VIEW marks", f"CREATE VIEW marks AS {endless}")
-    refused(lambda: MarkStore(path), "other tables or views")
+    refused(lambda: Store(path), "other tables or views")
 
 
 @pytest.mark.parametrize(
@@ -370,7 +370,7 @@ def test_a_database_with_a_view_of_a_strangers_is_refused(tmp_path: Path, refuse
 def test_contents_that_nobody_has_written_are_refused(
     tmp_path: Path, refused: Callable[..., str], statement: str
 ) -> None:
-    store = MarkStore(store_with(tmp_path / "a.sqlite", statement))
+    store = Store(store_with(tmp_path / "a.sqlite", statement))
     refused(lambda: [*store.marks.standing(), *store.keyframes.standing()], "a.sqlite", "damaged")
     store.close()
 

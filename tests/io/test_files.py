@@ -12,7 +12,7 @@ import pytest
 from getagrip.batch.ledger import LEDGER_FILE, Ledger
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
-from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.mark_store import Store
 
 CANARY = b"another file of the user's"
 
@@ -92,7 +92,7 @@ def opened(kind: str, folder: Path) -> None:
     if kind == "ledger":
         with Ledger(folder):
             return
-    MarkStore(folder / "marks.sqlite").close()
+    Store(folder / "marks.sqlite").close()
 
 
 @pytest.mark.parametrize("end", ["", *files.SQLITE_LOG_SUFFIXES])

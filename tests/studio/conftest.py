@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.cli.annotate import MARKS_DATABASE
+from getagrip.cli.annotate import DATABASE
 from getagrip.studio.masks import propagate_clip
 from getagrip.studio.project import Project
-from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.mark_store import Store
 from getagrip.studio.store.tasks import Task
 from helpers import annotation
 from helpers.labelled_scene import write_scene, write_video
@@ -42,6 +42,6 @@ def project(video: Path, tmp_path: Path) -> Iterator[Project]:
     """A video as a whole, and a candidate in it."""
     name = annotation.MARKED_VIDEO
     candidate = Task("candidate", name, video, 11, 60, "left", "mug", "red mug", contact=20)
-    made = Project([Task(name, name, video), candidate], MarkStore(tmp_path / MARKS_DATABASE))
+    made = Project([Task(name, name, video), candidate], Store(tmp_path / DATABASE))
     yield made
     made.close()

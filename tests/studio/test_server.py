@@ -12,13 +12,13 @@ from typing import Any
 
 import pytest
 
-from getagrip.cli.annotate import MARKS_DATABASE
+from getagrip.cli.annotate import DATABASE
 from getagrip.errors import UsageError
 from getagrip.studio import jobs
 from getagrip.studio.project import Project
-from getagrip.studio.server import MAX_BODY_BYTES, StudioServer, persistent_token, serve_on_free_port
+from getagrip.studio.server import MAX_BODY_BYTES, Server, persistent_token, serve_on_free_port
 from getagrip.studio.store import labels
-from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.mark_store import Store
 from getagrip.studio.store.tasks import Task
 from helpers.annotation import FIRST, LAST, MARKED_VIDEO, TAB, VIDEO, Clicking, ask, change, new
 from helpers.environment import Run
@@ -26,8 +26,8 @@ from helpers.labelled_scene import NUMBERED_FRAMES, number_in, write_images
 
 
 @contextmanager
-def serving(project: Project) -> Iterator[StudioServer]:
-    with StudioServer(project, 0) as made:
+def serving(project: Project) -> Iterator[Server]:
+    with Server(project, 0) as made:
         thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
         yield made
@@ -36,18 +36,18 @@ def serving(project: Project) -> Iterator[StudioServer]:
 
 
 @pytest.fixture
-def server(project: Project) -> Iterator[StudioServer]:
+def server(project: Project) -> Iterator[Server]:
     with serving(project) as made:
         yield made
 
 
 @pytest.fixture
-def label_server(clicking: Clicking) -> Iterator[StudioServer]:
+def label_server(clicking: Clicking) -> Iterator[Server]:
     with serving(clicking.project) as made:
         yield made
 
 
-def test_frames_and_marks_over_http(server: StudioServer) -> None:
+def test_frames_and_marks_over_http(server: Server) -> None:
     for n in (0, 33, NUMBERED_FRAMES - 1, 12):
         status, head, image = ask(server, f"/frame?task={MARKED_VIDEO}&n={n}")
         assert (status, head["X-Number"], number_in(image)) == (200, str(n + 1), n)
@@ -62,7 +62,7 @@ def test_frames_and_marks_over_http(server: StudioServer) -> None:
         assert "default-src 'self'" in head["Content-Security-Policy"]
 
 
-def test_the_page_is_for_this_machine_only(server: StudioServer) -> None:
+def test_the_page_is_for_this_machine_only(server: Server) -> None:
     assert server.server_address[0] == "127.0.0.1"
     own = f"127.0.0.1:{server.server_port}"
     sent = change(new(), {"start": 4})
@@ -81,7 +81,7 @@ def test_the_page_is_for_this_machine_only(server: StudioServer) -> None:
     assert ask(server, "/api/change", change(new(), {"start": 5}), through_ssh)[0] == 200
 
 
-def test_the_address_with_the_token_opens_the_page(server: StudioServer) -> None:
+def test_the_address_with_the_token_opens_the_page(server: Server) -> None:
     """Others who work on the machine reach the server, but nothing of what is in it."""
     stranger = {"Cookie": ""}
     for path in ("/", "/page.js", "/api/tasks?annotator=ann", "/?token=another", f"/page.js?token={server.token}"):
@@ -119,12 +119,12 @@ def test_a_token_is_neither_short_nor_read_through_a_link(tmp_path: Path) -> Non
 
 
 def test_another_port_is_taken_where_the_default_one_is_in_use(project: Project, monkeypatch: Any) -> None:
-    with StudioServer(project, 0) as busy:
+    with Server(project, 0) as busy:
         monkeypatch.setattr("getagrip.studio.server.DEFAULT_PORT", busy.server_port)
         with serve_on_free_port(project, "a-token") as other:
             assert other.server_port != busy.server_port
         with pytest.raises(UsageError, match="--port"):
-            StudioServer(project, busy.server_port)
+            Server(project, busy.server_port)
 
 
 @pytest.mark.parametrize(
@@ -139,19 +139,19 @@ def test_another_port_is_taken_where_the_default_one_is_in_use(project: Project,
         ("/api/change", b" " * (MAX_BODY_BYTES + 1), 400),
     ],
 )  # fmt: skip
-def test_bad_requests_are_answered_in_words(server: StudioServer, path: str, content: object, expected: int) -> None:
+def test_bad_requests_are_answered_in_words(server: Server, path: str, content: object, expected: int) -> None:
     status, head, answer = ask(server, path, content)
     assert (status, head["Content-Type"]) == (expected, "application/json")
     assert set(json.loads(answer)) == {"error"}
 
 
-def test_forms_of_other_sites_cannot_be_sent(server: StudioServer) -> None:
+def test_forms_of_other_sites_cannot_be_sent(server: Server) -> None:
     """A form can be sent across sites without asking; JSON cannot."""
     head = {"Content-Type": "text/plain"}
     assert ask(server, "/api/change", change(new(), {"start": 1}), head)[0] == 400
 
 
-def test_a_database_that_cannot_be_written_is_reported(server: StudioServer) -> None:
+def test_a_database_that_cannot_be_written_is_reported(server: Server) -> None:
     other = sqlite3.connect(server.project.store.path)
     server.project.store.database.connection.execute("PRAGMA busy_timeout = 50")
     other.execute("BEGIN EXCLUSIVE")
@@ -162,7 +162,7 @@ def test_a_database_that_cannot_be_written_is_reported(server: StudioServer) -> 
     assert ask(server, "/api/change", sent)[0] == 200
 
 
-def test_a_port_in_use_is_reported(server: StudioServer, video: Path, run: Run, tmp_path: Path) -> None:
+def test_a_port_in_use_is_reported(server: Server, video: Path, run: Run, tmp_path: Path) -> None:
     status, _, err = run("annotate", video, "--out", tmp_path / "other", "--port", server.server_port)
     assert status == 2
     assert "--port" in err
@@ -170,13 +170,13 @@ def test_a_port_in_use_is_reported(server: StudioServer, video: Path, run: Run, 
 
 def test_a_folder_of_images_is_served(tmp_path: Path) -> None:
     folder = write_images(tmp_path / "P01_01", [7, 8, 9])
-    project = Project([Task("P01_01", "P01_01", folder)], MarkStore(tmp_path / MARKS_DATABASE))
+    project = Project([Task("P01_01", "P01_01", folder)], Store(tmp_path / DATABASE))
     image, _, number = project.frame("P01_01", 2)
     assert (number_in(image), number) == (9, 9)
     project.close()
 
 
-def test_labels_over_http(label_server: StudioServer, clicking: Clicking) -> None:
+def test_labels_over_http(label_server: Server, clicking: Clicking) -> None:
     where = "&".join(f"{key}={value}" for key, value in clicking.about.items())
     status, _, answer = ask(label_server, "/api/label", clicking.change(4, {"joints": {"0": [10, 20]}}))
     assert (status, json.loads(answer)["keyframes"][0]["frame"]) == (200, 4)
@@ -193,7 +193,7 @@ def test_labels_over_http(label_server: StudioServer, clicking: Clicking) -> Non
 
 
 def test_a_report_is_one_that_was_drawn_here(
-    label_server: StudioServer, clicking: Clicking, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    label_server: Server, clicking: Clicking, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     project, drawn = clicking.project, list[Path]()
     result = project.labelling.out / "results" / project._grasp(clicking.about).name
@@ -226,7 +226,7 @@ def test_a_report_is_one_that_was_drawn_here(
 
 
 @pytest.mark.slow
-def test_hostile_clicks_over_http_are_answered_in_words(label_server: StudioServer, clicking: Clicking) -> None:
+def test_hostile_clicks_over_http_are_answered_in_words(label_server: Server, clicking: Clicking) -> None:
     many = {"outlines": {"the-disc": {"of": "object", "closed": True, "points": [[1, 1]] * 10**6}}}
     body = json.dumps(clicking.change(4, {"joints": {"0": [1, 2]}}))
     bodies = {

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from getagrip.studio.store.labels import Labels
     from getagrip.studio.store.tasks import Task
 
-MARKS_DATABASE = "marks.sqlite"
+DATABASE = "marks.sqlite"
 """The database of marks, in the folder of the annotations."""
 UNKNOWN_SHAPE: Mapping[str, object] = {}
 TOKENS_FOLDER = "tokens"
@@ -66,7 +66,7 @@ class Annotate(Command):
         from getagrip.studio.project import Project
         from getagrip.studio.store.export_all import write_labelled_grasps, write_mark_files
         from getagrip.studio.store.history import RefusedError
-        from getagrip.studio.store.mark_store import MarkStore
+        from getagrip.studio.store.mark_store import Store
         from getagrip.studio.store.tasks import read_tasks
 
         tasks = read_tasks(self.source, self.videos)
@@ -74,11 +74,11 @@ class Annotate(Command):
             missing = f"no footage of {len(absent)} of them, as {files.printable(absent[0].video)}"
             print_note(f"{len(tasks)} candidates, {missing}")
         out, imported = self.out, self.import_labels is not None or self.import_segments is not None
-        if self.export and not imported and not (out / MARKS_DATABASE).is_file():
-            raise UsageError(f"missing {out / MARKS_DATABASE}: --export writes what has been marked")
+        if self.export and not imported and not (out / DATABASE).is_file():
+            raise UsageError(f"missing {out / DATABASE}: --export writes what has been marked")
         labels = None if self.import_labels is None else read_labels(self.import_labels, tasks)
         out.mkdir(parents=True, exist_ok=True)
-        project = Project(tasks, MarkStore(out / MARKS_DATABASE), self.lens)
+        project = Project(tasks, Store(out / DATABASE), self.lens)
         try:
             if self.lens.is_set and (task := next((task for task in tasks if task.path is not None), None)):
                 compute_intrinsics(self.lens, project.footage(task).size)  # which refuses a wrong lens before any click
@@ -129,11 +129,11 @@ def serve(project: Project, port: int | None, annotator: str = "", shape: Mappin
     from urllib.parse import urlencode
 
     from getagrip.io.terminal import state_folder
-    from getagrip.studio.server import StudioServer, persistent_token, serve_on_free_port
+    from getagrip.studio.server import Server, persistent_token, serve_on_free_port
 
     marks = sha256(os.fsencode(project.store.path.resolve())).hexdigest()[:16]
     token = persistent_token(state_folder() / TOKENS_FOLDER / marks)  # beside the marks, others might read it
-    with serve_on_free_port(project, token) if port is None else StudioServer(project, port, token) as server:
+    with serve_on_free_port(project, token) if port is None else Server(project, port, token) as server:
         address = f"{server.url}#{urlencode({'annotator': annotator, **shape})}" if annotator else server.url
         print(f"open {address} in a browser; marks are kept in {project.store.path}; Ctrl-C ends", flush=True)
         try:

@@ -156,20 +156,20 @@ class Draft(Command):
         the video is cut.
         """
         from getagrip.cli import calls
-        from getagrip.cli.annotate import MARKS_DATABASE, serve
+        from getagrip.cli.annotate import DATABASE, serve
         from getagrip.io.terminal import progress_bar
         from getagrip.studio.hands.detect_hands import write_detected_hands
         from getagrip.studio.project import Project
         from getagrip.studio.store.export_all import reconstruct_labelled_grasps
         from getagrip.studio.store.labels import Labels as Drawn
-        from getagrip.studio.store.mark_store import MarkStore
+        from getagrip.studio.store.mark_store import Store
         from getagrip.studio.store.tasks import read_tasks
 
         shape = self._shape()
         video = self._source()
         task = read_tasks(video, None)[0]
         self.folder.mkdir(parents=True, exist_ok=True)
-        project = Project([task], MarkStore(self.folder / MARKS_DATABASE), self._lens)
+        project = Project([task], Store(self.folder / DATABASE), self._lens)
         try:
             footage = project.footage(task)
             stretch = self._stretch(footage)

@@ -74,18 +74,18 @@ class Label(Command):
 
     def run(self) -> int:
         """Run all steps; return 1 where one video failed, else 0. What fails of one is reported and ends no other."""
-        from getagrip.cli.annotate import MARKS_DATABASE, serve
+        from getagrip.cli.annotate import DATABASE, serve
         from getagrip.io import files
         from getagrip.studio.jobs import RequestedMesh
         from getagrip.studio.project import Project
-        from getagrip.studio.store.mark_store import MarkStore
+        from getagrip.studio.store.mark_store import Store
 
         found, failed = self._tasks()
         for n, task in enumerate(found, start=1):
             print_result(f"{task.key}: draft {n} of {len(found)}")
             failed += not self._does(task.key, partial(self._draft, task))
         self.out.mkdir(parents=True, exist_ok=True)
-        project = Project(found, MarkStore(self.out / MARKS_DATABASE), self.lens)
+        project = Project(found, Store(self.out / DATABASE), self.lens)
         try:
             for task in found:
                 failed += not self._does(task.key, partial(self._mark, project, task))

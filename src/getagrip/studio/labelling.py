@@ -43,7 +43,7 @@ from getagrip.studio.store.labels import (
     labels_to_json,
     write_label_file,
 )
-from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.mark_store import Store
 from getagrip.studio.store.marks import Grasp
 from getagrip.studio.store.tasks import open_footage
 
@@ -57,7 +57,7 @@ Basis = dict[str, list[tuple[int, int, str]]]
 class Labelling:
     """The key frames of the grasps in a store."""
 
-    def __init__(self, store: MarkStore, lens: Lens, out: Path) -> None:
+    def __init__(self, store: Store, lens: Lens, out: Path) -> None:
         """Write the files of grasps into ``out``; without a lens the focal length is assumed."""
         self.store, self.out = store, out
         self.depth: jobs.DepthFiles | None = None

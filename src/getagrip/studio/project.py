@@ -20,7 +20,7 @@ from getagrip.studio.store import history, labels, marks
 from getagrip.studio.store.export_clip import tasks_of_labels
 from getagrip.studio.store.history import Change, RefusedError, parse_token
 from getagrip.studio.store.labels import Labels
-from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.mark_store import Store
 from getagrip.studio.store.marks import (
     Grasp,
     Interaction,
@@ -38,7 +38,7 @@ MAX_OPEN_FOOTAGE = 4
 class Project:
     """Tasks and the store of their marks and labels."""
 
-    def __init__(self, tasks: list[Task], store: MarkStore, lens: Lens | None = None) -> None:
+    def __init__(self, tasks: list[Task], store: Store, lens: Lens | None = None) -> None:
         """``lens`` is the camera of all footage; without one the focal length is guessed."""
         self.tasks = {task.key: task for task in tasks}
         self.store = store

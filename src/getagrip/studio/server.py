@@ -79,7 +79,7 @@ STUDIO_PAGE_HEADERS = {
 """Headers of the page: only its own scripts run."""
 
 
-class StudioServer(QuietServer):
+class Server(QuietServer):
     """The server of one project."""
 
     closed = False
@@ -111,12 +111,12 @@ class StudioServer(QuietServer):
         super().server_close()
 
 
-def serve_on_free_port(project: Project, token: str) -> StudioServer:
+def serve_on_free_port(project: Project, token: str) -> Server:
     """Start a server at the default port, else at the next free port. Raises ``UsageError`` without a free port."""
     for port in range(DEFAULT_PORT, DEFAULT_PORT + N_PORTS_TRIED):
         with suppress(UsageError):
-            return StudioServer(project, port, token)
-    return StudioServer(project, 0, token)
+            return Server(project, port, token)
+    return Server(project, 0, token)
 
 
 def persistent_token(path: Path) -> str:
@@ -140,7 +140,7 @@ def persistent_token(path: Path) -> str:
 
 
 class _StudioHandler(QuietHandler):
-    server: StudioServer
+    server: Server
 
     def do_GET(self) -> None:
         """Answer with the page, a frame, or data."""

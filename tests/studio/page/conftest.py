@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from getagrip.cli.annotate import MARKS_DATABASE
+from getagrip.cli.annotate import DATABASE
 from getagrip.studio.masks import propagate_clip
 from getagrip.studio.store.tasks import Task
 from helpers.annotation import FIRST_FRAME, LAST_FRAME, MARK, Served, close
@@ -27,7 +27,7 @@ def served(scene_video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     """A video in which a grasp is marked. Masks are propagated at a quarter of the size, which is faster."""
     monkeypatch.setattr(propagate_clip, "OBJECT_WORKING_SIZE_PX", 50.0)
     tasks = [Task("scene", "scene", scene_video), Task("another", "another", scene_video)]
-    made = Served(tasks, tmp_path / MARKS_DATABASE)
+    made = Served(tasks, tmp_path / DATABASE)
     about = {"mark": MARK, "task": "scene", "annotator": "ann", "tab": "a-tab-of-old"}
     sets = ({"start": FIRST_FRAME, "side": "left", "category": "disc"}, {"end": LAST_FRAME})
     for n, one in enumerate(sets):

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from getagrip.cli.annotate import MARKS_DATABASE
+from getagrip.cli.annotate import DATABASE
 from getagrip.studio.store.tasks import Task
 from helpers.annotation import IN_BROWSER, Served, expect, saved
 from helpers.labelled_scene import BITS, NUMBERED_FRAMES, write_video
@@ -38,7 +38,7 @@ def videos(tmp_path_factory: Any) -> list[Path]:
 def served(videos: list[Path], tmp_path: Path) -> Iterator[Served]:
     first, second = videos
     tasks = [Task("first", "first", first), Task("second", "second", second, 11, 50, "left", "mug", "red mug", 20)]
-    made = Served(tasks, tmp_path / MARKS_DATABASE)
+    made = Served(tasks, tmp_path / DATABASE)
     yield made
     made.stop()
 

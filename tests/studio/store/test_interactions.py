@@ -11,14 +11,14 @@ from uuid import uuid4
 
 import pytest
 
-from getagrip.cli.annotate import MARKS_DATABASE
+from getagrip.cli.annotate import DATABASE
 from getagrip.stable_grasps import grasp_lists
 from getagrip.studio.project import Project
 from getagrip.studio.store import labels, mark_store, marks
 from getagrip.studio.store.export_all import write_mark_files
 from getagrip.studio.store.export_clip import new_clip_call
 from getagrip.studio.store.history import RefusedError
-from getagrip.studio.store.mark_store import MARKS_APPLICATION_ID, MarkStore
+from getagrip.studio.store.mark_store import MARKS_APPLICATION_ID, Store
 from getagrip.studio.store.tasks import Task
 from helpers.environment import Run
 from helpers.labelled_scene import write_video
@@ -33,7 +33,7 @@ def video(tmp_path_factory: Any) -> Path:
 
 @pytest.fixture
 def project(video: Path, tmp_path: Path) -> Iterator[Project]:
-    made = Project([Task("cup", "cup", video)], MarkStore(tmp_path / MARKS_DATABASE))
+    made = Project([Task("cup", "cup", video)], Store(tmp_path / DATABASE))
     yield made
     made.close()
 
@@ -106,7 +106,7 @@ def test_stable_grasps_alone_are_no_interaction(project: Project) -> None:
 
 
 def test_projects_of_older_versions_are_read(tmp_path: Path, video: Path) -> None:
-    with sqlite3.connect(tmp_path / MARKS_DATABASE) as old:
+    with sqlite3.connect(tmp_path / DATABASE) as old:
         old.executescript(marks.MARKS_SCHEMA + labels.KEYFRAMES_SCHEMA + mark_store.DRAFTS_SCHEMA)
         old.execute(
             "INSERT INTO versions (change, tab, at, mark, task, annotator, start, end, side, deleted) "
@@ -114,11 +114,11 @@ def test_projects_of_older_versions_are_read(tmp_path: Path, video: Path) -> Non
         )
         old.execute("PRAGMA user_version = 2")
         old.execute(f"PRAGMA application_id = {MARKS_APPLICATION_ID}")
-    project = Project([Task("cup", "cup", video)], MarkStore(tmp_path / MARKS_DATABASE))
+    project = Project([Task("cup", "cup", video)], Store(tmp_path / DATABASE))
     segments(project, LYING)
     assert [one.state for one in project.store.marks.standing()] == ["static", "grasp"]
     project.close()
-    again = MarkStore(tmp_path / MARKS_DATABASE)
+    again = Store(tmp_path / DATABASE)
     assert [one.state for one in again.marks.standing()] == ["static", "grasp"]
     again.close()
 

@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip.cli.annotate import MARKS_DATABASE
+from getagrip.cli.annotate import DATABASE
 from getagrip.studio.project import Project
 from getagrip.studio.store import labels, marks
 from getagrip.studio.store.history import RefusedError
 from getagrip.studio.store.labels import MAX_LABEL_POLYGON_CORNERS, OBJECT_LABEL, OCCLUDER_LABEL, FrameLabels, Labels
-from getagrip.studio.store.mark_store import MARKS_APPLICATION_ID, MarkStore
+from getagrip.studio.store.mark_store import MARKS_APPLICATION_ID, Store
 from getagrip.studio.store.tasks import Task
 from helpers.annotation import FIRST, LAST, TAB, VIDEO, Clicking, disc, new
 from helpers.labelled_scene import FRAMES, HEIGHT, WIDTH, circle
@@ -146,7 +146,7 @@ def test_what_was_clicked_is_there_when_the_file_is_opened_again(clicking: Click
     assert [one["frame"] for one in before] == [4, 9]
     assert before[0]["joints"] == {"0": [10.0, 20.13], "1": "unseen"}
     assert before[0]["number"] == 5
-    again = Project(list(clicking.project.tasks.values()), MarkStore(clicking.project.store.path))
+    again = Project(list(clicking.project.tasks.values()), Store(clicking.project.store.path))
     assert again.labels(clicking.about)["keyframes"] == before
     again.close()
 
@@ -218,7 +218,7 @@ def test_a_click_that_is_sent_twice_is_made_once(clicking: Clicking) -> None:
 
 
 def test_databases_of_marks_alone_are_completed(scene_video: Path, tmp_path: Path) -> None:
-    path, mark = tmp_path / MARKS_DATABASE, new()
+    path, mark = tmp_path / DATABASE, new()
     with sqlite3.connect(path) as old:
         old.executescript(marks.MARKS_SCHEMA)
         old.execute("PRAGMA user_version = 1")
@@ -227,7 +227,7 @@ def test_databases_of_marks_alone_are_completed(scene_video: Path, tmp_path: Pat
             "INSERT INTO versions (change, tab, at, mark, task, annotator, start, end, side, deleted) "
             f"VALUES ('{new()}', '{TAB}', '', '{mark}', '{VIDEO}', 'ann', {FIRST}, {LAST}, 'left', 0)"
         )
-    project = Project([Task(VIDEO, VIDEO, scene_video)], MarkStore(path))
+    project = Project([Task(VIDEO, VIDEO, scene_video)], Store(path))
     about = {"task": VIDEO, "annotator": "ann", "grasp": mark}
     project.label(about | {"change": new(), "tab": TAB, "frame": 4, "set": {"joints": {"0": [1, 2]}}})
     assert len(project.labels(about)["keyframes"]) == 1

@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip.cli.annotate import MARKS_DATABASE
+from getagrip.cli.annotate import DATABASE
 from getagrip.readers.datasets.epic.epic_tables import read_grasps
 from getagrip.stable_grasps import grasp_lists
 from getagrip.studio.project import Project
 from getagrip.studio.store.export_all import write_mark_files
 from getagrip.studio.store.history import RefusedError
-from getagrip.studio.store.mark_store import MarkStore
+from getagrip.studio.store.mark_store import Store
 from getagrip.studio.store.marks import DISCARD_REASONS, Mark, match_grasps, pairwise_agreements, temporal_iou
 from getagrip.studio.store.tasks import Task
 from helpers.annotation import MARKED_VIDEO, change, grasp, new, undo
@@ -29,7 +29,7 @@ from helpers.environment import DATA, Run, needs
 def test_marks_are_there_when_the_file_is_opened_again(project: Project) -> None:
     grasp(project, 10, 40)
     project.change(change(new(), {"reason": "out of view"}, task="candidate"))
-    again = Project(list(project.tasks.values()), MarkStore(project.store.path))
+    again = Project(list(project.tasks.values()), Store(project.store.path))
     assert again.store.marks.standing() == project.store.marks.standing()
     assert [task["state"] for task in again.overview("ann")["tasks"]] == ["marked", "discarded"]
     assert [task["state"] for task in again.overview("bob")["tasks"]] == ["", ""]
@@ -58,7 +58,7 @@ def test_changes_at_once_are_all_kept(project: Project) -> None:
 
 
 def test_two_processes_may_share_a_file(project: Project) -> None:
-    other = MarkStore(project.store.path)
+    other = Store(project.store.path)
     grasp(project, 10, 40)
     assert other.marks.standing() == project.store.marks.standing()
     other.close()
@@ -80,9 +80,7 @@ def test_a_change_that_is_sent_twice_is_made_once(project: Project) -> None:
 def test_undo_goes_back_through_every_state(
     tmp_path_factory: Any, video: Path, steps: list[tuple[int, str, int]]
 ) -> None:
-    made = Project(
-        [Task(MARKED_VIDEO, MARKED_VIDEO, video)], MarkStore(tmp_path_factory.mktemp("undo") / MARKS_DATABASE)
-    )
+    made = Project([Task(MARKED_VIDEO, MARKED_VIDEO, video)], Store(tmp_path_factory.mktemp("undo") / DATABASE))
     marks, states = [new() for _ in range(3)], [made.store.marks.standing()]
     for which, field, value in steps:
         input_value = {"side": "left" if value % 2 else "right", "deleted": bool(value % 2)}.get(field, value)
@@ -142,11 +140,11 @@ def test_marks_of_others_are_out_of_reach(project: Project) -> None:
 def test_other_files_are_no_databases_of_marks(tmp_path: Path, refused: Callable[..., str]) -> None:
     path = tmp_path / "x.sqlite"
     path.write_text("no database, " * 100)
-    refused(lambda: MarkStore(path), "x.sqlite")
+    refused(lambda: Store(path), "x.sqlite")
     path.unlink()
     with sqlite3.connect(path) as other:
         other.execute("CREATE TABLE versions (a)")
-    refused(lambda: MarkStore(path), "another program")
+    refused(lambda: Store(path), "another program")
 
 
 EPIC = DATA / "epic" / "epicgrasps_2431.csv"

@@ -78,7 +78,7 @@ class DraftStore:
         return int(self.database.rows(query, (grasp,))[0][0])
 
 
-class MarkStore:
+class Store:
     """The contents of one file, for any number of threads and processes."""
 
     def __init__(self, path: Path) -> None:
