@@ -62,7 +62,7 @@ def test_the_demo_and_a_video_of_ones_own(tmp_path: Path, run: Run, monkeypatch:
         patch.setattr("getagrip.report.pages.write_page", lambda *given: given[3])
         assert run(*words[1:])[0] == 0
     the_mug_is_found(tmp_path / "out" / "demo")
-    follow("A video of your own", run, monkeypatch)
+    follow("Hands and masks of your own", run, monkeypatch)
     assert (tmp_path / "results" / "index.html").is_file()
     assert list((tmp_path / "scene").rglob("*.glb"))
     assert list((tmp_path / "table").rglob("*.csv"))

@@ -22,7 +22,7 @@ from matplotlib.text import Text
 
 from helpers.environment import ROOT
 
-PAGES = (*sorted((ROOT / "docs").glob("*.md")), *sorted(ROOT.glob("*.md")))
+PAGES = (*sorted((ROOT / "docs").glob("*.md")), *sorted(ROOT.glob("*.md")), ROOT / "examples" / "README.md")
 
 
 @cache

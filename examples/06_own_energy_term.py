@@ -1,6 +1,6 @@
 """An energy term of your own: here, that the object's z axis has a direction that a sensor has measured.
 
-    python examples/05_own_energy_term.py
+    python examples/06_own_energy_term.py
 
 reconstructs a synthetic plate without and with it, and prints how far the axis is from the ground truth, on average.
 """

@@ -1,6 +1,6 @@
 """A real dataset: the first stable grasp of DexYCB, reconstructed and compared with its true poses.
 
-    python examples/03_real_dataset.py DATA [MESHES]
+    python examples/05_real_dataset.py DATA [MESHES]
 
 DATA is the folder of DexYCB, with MESHES the folder of the YCB models (DATA/models by default), or any folder of clips,
 as `getagrip import` and `getagrip clip new` write them.

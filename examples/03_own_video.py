@@ -1,6 +1,6 @@
 """A rehearsal for your own video: makes of a clip what a camera, a segmenter and a hand estimator would give.
 
-    python examples/06_own_video.py [CLIP] [OUT]
+    python examples/03_own_video.py [CLIP] [OUT]
 
 CLIP is a clip folder with images (that of `getagrip demo` by default). Writes into OUT (rehearsal/ by default)
 video.mp4, masks/ (PNG, 1 the object, 2 the hand), joints.npz (21 joints in every frame, in the camera frame) and

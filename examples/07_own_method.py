@@ -1,6 +1,6 @@
 """A method of your own in the benchmark: a function from a Problem to a MethodResult, under a name in METHODS.
 
-    python examples/04_own_method.py OUT
+    python examples/07_own_method.py OUT
 
 compares it with the default on two synthetic clips; tables and results go into OUT (default: out/own-method). What
 follows OUT goes to `getagrip bench` as it is.
