@@ -2,7 +2,7 @@
 
 The stages: the object alone, from its masks, in the first frame from many rotations, in each later frame from the
 previous frame's pose; the best tracks; then objects and hands together, with smoothness, interaction and contact.
-docs/method.md lists the departures from the published code.
+docs/method-details.md lists the departures from the published code.
 
 In the joint stage object and hand of every frame are rigid bodies in the camera frame that move together. Three rigid
 relations carry all terms: the object in the camera (mask, smoothness), the hand in the camera (smoothness,

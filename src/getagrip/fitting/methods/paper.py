@@ -6,7 +6,7 @@ push and pull are those of the appendix, in metres, times 0.1 f, f the focal len
 axis starts as the CAD's z-axis through its origin, angles at zero; every initial pose runs to its end on all frames;
 the best IOU wins.
 
-The paper leaves these choices open, or its numbers contradict the printed ones (docs/method.md lists the trials):
+The paper leaves these choices open, or its numbers contradict the printed ones (docs/method-details.md has both):
 
 - the unit of push and pull: metres, as in the authors' later code. The printed millimetres are 1000 times the weights;
 - the height in E_pull: absolute, of the pair of least distance (``PaperPullTerm``), as in the authors' later code;

@@ -78,7 +78,7 @@ class Stage:
         iterations: maximum number of iterations of the solver.
         keep: number of hypotheses kept for the next stage.
         within: maximum energy of these, in the least energy. After the coarse stage the right hypothesis may still have
-            many times the least energy (docs/method.md).
+            many times the least energy (docs/method-details.md).
         rounds: number of times that the best hypotheses of the stage are rotated and fitted again.
         parents: number of hypotheses that are rotated.
         rotations: ranges of their rotations.

@@ -30,7 +30,7 @@ from getagrip.least_squares import BlockArrow
 
 IMAGE_CONTOUR_ERROR_PX, CROP_CONTOUR_ERROR_PX = 0.4, 0.15
 """Mean distance between the contours of the object's own mesh and of a mask: pixels of the image, plus pixels of the
-crop. Right grasps of DexYCB's training subjects have 0.4 to 0.75 times as much (docs/method.md)."""
+crop. Right grasps of DexYCB's training subjects have 0.4 to 0.75 times as much (docs/trials.md)."""
 STIFFNESS_EXPONENT = 3.0
 """Power of the misfit that stiffness is multiplied by; 4 was too stiff for measured motions."""
 MIN_MESH_MISFIT = 1.2
