@@ -25,7 +25,7 @@ from getagrip.cli import main as getagrip_main
 from getagrip.geometry.camera import crops_around
 from getagrip.io.images import read_image
 from getagrip.report.pictures.result_view import View
-from getagrip.report.pictures.stills import draw_overlay, draw_side_view, smooth_windows
+from getagrip.report.pictures.stored_results import draw_overlay, draw_side_view, smooth_windows
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "docs" / "images" / "examples"

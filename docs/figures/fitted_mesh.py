@@ -13,7 +13,7 @@ import numpy as np
 
 import getagrip
 from getagrip.report.pictures.result_view import View
-from getagrip.report.pictures.stills import draw_overlay, smooth_windows
+from getagrip.report.pictures.stored_results import draw_overlay, smooth_windows
 from getagrip.synthetic.categories import clips_of_split
 
 SIDE, FRAMES = 260, (3, 10, 17, 25)

@@ -18,7 +18,7 @@ from getagrip.checks.timeline_checks import GRASP_CHECKS
 from getagrip.clip import Clip, Masks, check_clip, check_masks, with_masks
 from getagrip.compiling import COMPILATION_MESSAGE, compile_once
 from getagrip.errors import GetagripError, InputError, UsageError, check_arguments
-from getagrip.fitting.hand.hand_size import restore_object_size, with_hand_size
+from getagrip.fitting.hand.joint_hand_object import restore_object_size, with_hand_size
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import (

@@ -29,7 +29,13 @@ from getagrip.report.pictures.panels import RESULT_COLOUR
 from getagrip.result import read_result
 from getagrip.stable_grasps import grasp_lists
 from getagrip.stable_grasps.definition import Definition
-from getagrip.stable_grasps.find import ARTICULATION_THRESHOLD_RAD, assign_fragments, contact_iou, contact_sets, segment
+from getagrip.stable_grasps.find import (
+    ARTICULATION_THRESHOLD_RAD,
+    assign_fragments,
+    contact_iou,
+    contact_sets,
+    segment,
+)
 from getagrip.timelines.detect import detect_segments
 from getagrip.timelines.detect.detect_segments import DetectedSegments
 from helpers.clips import box, small_clip

@@ -14,7 +14,13 @@ import pytest
 
 from getagrip.batch import executor
 from getagrip.bench.figures.study_figure import GRASP_BAND_COLOUR
-from getagrip.bench.tables import DatasetCounts, GraspDuration, count_epic_grasps, durations_by_category, epic_durations
+from getagrip.bench.tables import (
+    DatasetCounts,
+    GraspDuration,
+    count_epic_grasps,
+    durations_by_category,
+    epic_durations,
+)
 from getagrip.clip import write_clip
 from getagrip.errors import InputError
 from getagrip.geometry import se3

@@ -8,7 +8,14 @@ import pytest
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.hands import generic, umetrack
-from getagrip.hands.fit_joints import JOINT_ORDERS, Chains, JointFitUnknowns, PosePrior, fit_joints, joints_and_jacobian
+from getagrip.hands.fit_joints import (
+    JOINT_ORDERS,
+    Chains,
+    JointFitUnknowns,
+    PosePrior,
+    fit_joints,
+    joints_and_jacobian,
+)
 from getagrip.hands.generic import MANO_WRIST_M
 from getagrip.hands.model import KNUCKLES, HandModel, Side, mirrored, mirrored_model
 from getagrip.hands.umetrack import T_world_hand, UmeTrackHand

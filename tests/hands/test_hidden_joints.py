@@ -9,8 +9,8 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic
 from getagrip.hands.fit_joints import Chains, PosePrior, joints_and_jacobian
-from getagrip.hands.from_2d.hidden_joints import OcclusionDistances
 from getagrip.hands.from_2d.landmarks import hands_from_landmarks
+from getagrip.hands.from_2d.rigid_pnp import OcclusionDistances
 
 K = np.array([[500.0, 0.0, 160.0], [0.0, 500.0, 160.0], [0.0, 0.0, 1.0]])
 SIZE = 320

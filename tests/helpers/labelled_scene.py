@@ -18,8 +18,7 @@ import numpy as np
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic
-from getagrip.studio.hands.networks import HandNetOutput, Nets
-from getagrip.studio.hands.palms import HandCrop, Palm
+from getagrip.studio.hands.networks import HandCrop, HandNetOutput, Nets, Palm
 
 WIDTH, HEIGHT = 320, 240
 FRAMES = 14

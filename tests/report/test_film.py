@@ -22,7 +22,7 @@ from getagrip.report.film import (
 )
 from getagrip.report.pictures.panels import AXIS_COLOUR, HAND_LINE_COLOUR, INK_COLOUR, RESULT_COLOUR, STATE_COLOURS
 from getagrip.report.pictures.result_view import View
-from getagrip.report.pictures.stills import draw_overlay, draw_side_view, smooth_track, smooth_windows
+from getagrip.report.pictures.stored_results import draw_overlay, draw_side_view, smooth_track, smooth_windows
 from getagrip.result import Axis, SegmentResult
 from helpers.pages import pixels_of
 from helpers.scenes import FRAMES, LIES, by_other_hand, egg_and_mug, perfect, timeline

@@ -16,7 +16,13 @@ from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import repair_input
 from getagrip.geometry import se3
 from getagrip.timelines.observations import GraspClip, Hypotheses, TimelineInputs
-from getagrip.timelines.tracking import N_PATHS, _pose_embedding, _select_distinct_paths, hand_motions, track_hypotheses
+from getagrip.timelines.tracking import (
+    N_PATHS,
+    _pose_embedding,
+    _select_distinct_paths,
+    hand_motions,
+    track_hypotheses,
+)
 from helpers.clips import box
 from helpers.scenes import by_other_hand, timeline
 

@@ -88,8 +88,7 @@ def detection_entry(found: DetectedClip | Outcome) -> LedgerEntry:
 
 def _detect_and_write(job: DetectionJob, checksum: str, why: str, progress: Progress) -> DetectedClip:
     """Raise ``InputError`` where the clip is invalid or changes meanwhile."""
-    from getagrip.timelines.detect.detect_segments import find_segments
-    from getagrip.timelines.detect.write_segments import write_grasps, write_timeline
+    from getagrip.timelines.detect.detect_segments import find_segments, write_grasps, write_timeline
 
     clip = read_clip(job.clip)
     masks = read_masks(clip)

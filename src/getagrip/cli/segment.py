@@ -101,8 +101,7 @@ def find_clip_segments(job: MaskSegmentJob, progress: Progress = lambda *_: None
     from getagrip.clip import read, read_clip
     from getagrip.clip.read import read_header
     from getagrip.stable_grasps.find import as_listed
-    from getagrip.timelines.detect.detect_segments import find_segments
-    from getagrip.timelines.detect.write_segments import detected_segment_list
+    from getagrip.timelines.detect.detect_segments import detected_segment_list, find_segments
 
     clip = read_clip(job.clip)
     if job.write:

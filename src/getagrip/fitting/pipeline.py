@@ -14,7 +14,7 @@ from getagrip.checks import MIN_MEAN_IOU
 from getagrip.checks.calibration import Where
 from getagrip.checks.evidence import Glitches
 from getagrip.clip import Clip
-from getagrip.fitting.hand.hand_solution import SolvedHand
+from getagrip.fitting.hand.hand_error_model import SolvedHand
 from getagrip.fitting.hand.refine_hand import repair_hand
 from getagrip.fitting.options import Options
 from getagrip.fitting.stages.remaining_frames import SolutionTrack

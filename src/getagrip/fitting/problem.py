@@ -26,7 +26,7 @@ from getagrip.clip.masks import occluded_by_hand
 from getagrip.fitting.energy import Energy, Terms
 from getagrip.fitting.energy.contact import CONTACT_GRID_MARGIN_M, build_contact_grid, rms_distances
 from getagrip.fitting.energy.mask import GAP_SHARE, Observation, observe_masks
-from getagrip.fitting.hand.hand_solution import SolvedHand, interpolate_solved_hand
+from getagrip.fitting.hand.hand_error_model import SolvedHand, interpolate_solved_hand
 from getagrip.fitting.hand.refine_hand import HandRefinement, refine_hand
 from getagrip.fitting.motion import Motion, PosesInHand
 from getagrip.fitting.options import FREE_SCALE_START_FACTOR, Options

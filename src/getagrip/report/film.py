@@ -19,7 +19,7 @@ from getagrip.geometry.rasterize import nearest_surface, render_rgb
 from getagrip.io.images import write_video
 from getagrip.report.pictures.panels import HAND_RGB, INK_COLOUR, OBJECT_RGB, PAPER_RGB, STATE_COLOURS
 from getagrip.report.pictures.result_view import View, result_times
-from getagrip.report.pictures.stills import draw_overlay, draw_side_view, smooth_windows
+from getagrip.report.pictures.stored_results import draw_overlay, draw_side_view, smooth_windows
 
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont

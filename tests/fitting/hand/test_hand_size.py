@@ -11,7 +11,7 @@ import pytest
 from getagrip.bench.inputs.simulated_evidence import SimulatedDepth
 from getagrip.clip import Clip, Segment, with_masks
 from getagrip.clip.depth import DEPTH_KEY, Depth
-from getagrip.fitting.hand.hand_size import restore_object_size, with_hand_size
+from getagrip.fitting.hand.joint_hand_object import restore_object_size, with_hand_size
 from getagrip.fitting.methods.all_frames import search_of
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare_problem

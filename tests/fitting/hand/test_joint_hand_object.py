@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from getagrip.bench.inputs.simulated_evidence import true_joints
 from getagrip.clip import Clip, Masks, with_masks
-from getagrip.fitting.hand.hand_solution import SolvedHand, interpolate_solved_hand
+from getagrip.fitting.hand.hand_error_model import SolvedHand, interpolate_solved_hand
 from getagrip.fitting.hand.joint_hand_object import solve_with_hand
 from getagrip.fitting.methods.all_frames import soft_energy
 from getagrip.fitting.motion import Fixed, Hinge, Soft, hand_object_transforms

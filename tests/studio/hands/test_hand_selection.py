@@ -13,11 +13,10 @@ from getagrip.hands import generic
 from getagrip.hands.fit_joints import PosePrior
 from getagrip.hands.from_2d.clicks import model_pose
 from getagrip.provenance import is_assumed
-from getagrip.studio.hands import Side, palms, unbiased_log_odds
+from getagrip.studio.hands import Side, networks, unbiased_log_odds
 from getagrip.studio.hands.hand_selection import Handedness, find_mirrored_frames, log_odds, select_hand
 from getagrip.studio.hands.hand_tracking import Sighting, drop_outlier_sightings, track_hands
-from getagrip.studio.hands.networks import HandNetOutput, Nets
-from getagrip.studio.hands.palms import HandCrop, Palm
+from getagrip.studio.hands.networks import HandCrop, HandNetOutput, Nets, Palm
 
 BASES = ((60, 20), (30, -25), (5, -30), (-15, -25), (-40, -15))
 FLAT = np.array([[0, 0], *([x * k / 4, -100 + y * k] for x, y in BASES for k in (1, 2, 3, 4))], dtype=float)
@@ -50,7 +49,7 @@ class Seeing(Nets):
     def landmarks(self, image: np.ndarray, crop: HandCrop) -> HandNetOutput:
         self.asked.append(crop)  # type: ignore[attr-defined]
         for each in self.hands[int(image[0, 0, 0])]:  # type: ignore[attr-defined]
-            if np.linalg.norm(palms.crop_of_landmarks(each.points).middle - crop.middle) < 0.4 * crop.side:
+            if np.linalg.norm(networks.crop_of_landmarks(each.points).middle - crop.middle) < 0.4 * crop.side:
                 return HandNetOutput(*each)
         return HandNetOutput(FLAT, WORLD, 0.02, 0.5)
 

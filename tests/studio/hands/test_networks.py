@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from getagrip.errors import InputError, UsageError
-from getagrip.studio.hands import networks, palms
-from getagrip.studio.hands.palms import HandCrop, Letterbox, Palm, anchors
+from getagrip.studio.hands import networks
+from getagrip.studio.hands.networks import HandCrop, Letterbox, Palm, anchors
 
 
 def output(*hits: tuple[int, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -35,12 +35,12 @@ def test_anchors_are_the_middles_of_cells() -> None:
 @pytest.mark.parametrize("fill", [1.0, 0.5])
 def test_a_palm_is_where_its_anchor_is(size: tuple[int, int], fill: float) -> None:
     anchor, frame = 24 * 24 * 2 + (5 * 12 + 6) * 6, Letterbox.of(size, fill)
-    (palm,) = palms.decode_palms(*output((anchor, 3.0)), frame)
+    (palm,) = networks.decode_palms(*output((anchor, 3.0)), frame)
     middle = np.array([6.5, 5.5]) / 12 * 192
     np.testing.assert_allclose((palm.box[:2] + palm.box[2:]) / 2, frame.back(middle), atol=1e-6)
     np.testing.assert_allclose(palm.box[2:] - palm.box[:2], 60.0 / frame.scale, rtol=1e-6)
     np.testing.assert_allclose(
-        palm.points[palms.PALM_WRIST_INDEX], frame.back(middle + np.array([0.0, 30.0])), atol=1e-6
+        palm.points[networks.PALM_WRIST_INDEX], frame.back(middle + np.array([0.0, 30.0])), atol=1e-6
     )
     assert palm.score == pytest.approx(1.0 / (1.0 + np.exp(-3.0)))
 
@@ -48,11 +48,11 @@ def test_a_palm_is_where_its_anchor_is(size: tuple[int, int], fill: float) -> No
 def test_overlapping_palms_are_one_and_distant_ones_two() -> None:
     grid = 24 * 24 * 2
     near, far = grid + (5 * 12 + 6) * 6, grid + (5 * 12 + 11) * 6
-    found = palms.decode_palms(
+    found = networks.decode_palms(
         *output((near, 2.0), (near + 1, 1.0), (far, 1.5), (far + 6, -2.0)), Letterbox.of((192, 192))
     )
     assert [round(palm.score, 3) for palm in found] == [0.881, 0.818]
-    assert palms.decode_palms(*output(), Letterbox.of((192, 192))) == []
+    assert networks.decode_palms(*output(), Letterbox.of((192, 192))) == []
 
 
 @pytest.mark.parametrize("fill", [1.0, 0.5])
@@ -81,19 +81,19 @@ def test_squares_turn_with_the_hand(angle: float) -> None:
     turn = np.array([[c, -s], [s, c]])
     hand = np.random.default_rng(1).normal(0.0, 40.0, (21, 2)) - np.array([0.0, 100.0])
     hand[0] = 0.0
-    upright, turned = palms.crop_of_landmarks(hand), palms.crop_of_landmarks(hand @ turn.T)
+    upright, turned = networks.crop_of_landmarks(hand), networks.crop_of_landmarks(hand @ turn.T)
     assert np.cos(turned.angle - upright.angle - angle) == pytest.approx(1.0)
     assert turned.side == pytest.approx(upright.side)
     np.testing.assert_allclose(turned.middle, turn @ upright.middle, atol=1e-9)
     own = turned.from_image(hand @ turn.T)
-    assert own[palms.RIGID_LANDMARKS].min() > 0.0
-    assert own[palms.RIGID_LANDMARKS].max() < 224.0
+    assert own[networks.RIGID_LANDMARKS].min() > 0.0
+    assert own[networks.RIGID_LANDMARKS].max() < 224.0
 
 
 def test_a_palm_that_points_up_gives_an_upright_square_ahead_of_it() -> None:
     points = np.zeros((7, 2))
-    points[palms.PALM_WRIST_INDEX], points[palms.PALM_KNUCKLE_INDEX] = [100.0, 140.0], [100.0, 60.0]
-    crop = palms.crop_of_palm(Palm(np.array([60.0, 60.0, 140.0, 140.0]), points, 0.9))
+    points[networks.PALM_WRIST_INDEX], points[networks.PALM_KNUCKLE_INDEX] = [100.0, 140.0], [100.0, 60.0]
+    crop = networks.crop_of_palm(Palm(np.array([60.0, 60.0, 140.0, 140.0]), points, 0.9))
     assert crop.angle == pytest.approx(0.0)
     assert crop.side == pytest.approx(208.0)
     np.testing.assert_allclose(crop.middle, [100.0, 60.0])
@@ -168,6 +168,6 @@ def test_the_real_models_answer_as_known() -> None:
 
 def test_dark_images_are_lightened_and_others_stay_as_they_are() -> None:
     image = np.random.default_rng(0).uniform(0.0, 1.0, (64, 64, 3)).astype(np.float32)
-    np.testing.assert_array_equal(palms.brighten(image), image)
-    np.testing.assert_allclose(palms.brighten(0.2 * image), palms.brighten(0.1 * image), rtol=1e-5)
-    assert palms.brighten(np.zeros_like(image)).max() == 0.0
+    np.testing.assert_array_equal(networks.brighten(image), image)
+    np.testing.assert_allclose(networks.brighten(0.2 * image), networks.brighten(0.1 * image), rtol=1e-5)
+    assert networks.brighten(np.zeros_like(image)).max() == 0.0

@@ -7,10 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from getagrip.studio.hands import palms
+from getagrip.studio.hands import networks
 from getagrip.studio.hands.hand_tracking import Sighting
-from getagrip.studio.hands.networks import HandNetOutput, Nets
-from getagrip.studio.hands.palms import HandCrop
+from getagrip.studio.hands.networks import HandCrop, HandNetOutput, Nets
 from getagrip.studio.hands.redetect import redetect_hand
 
 BASES = ((60, 20), (30, -25), (5, -30), (-15, -25), (-40, -15))
@@ -37,7 +36,7 @@ class TurnedNets(Nets):
 
     def landmarks(self, image: np.ndarray, crop: HandCrop) -> HandNetOutput:
         n = int(image[0, 0, 0])
-        own = palms.crop_of_landmarks(hand(n).points)
+        own = networks.crop_of_landmarks(hand(n).points)
         if np.linalg.norm(own.middle - crop.middle) > 0.5 * own.side:
             return HandNetOutput(FLAT, WORLD, 0.02, 0.5)
         return HandNetOutput(*(hand(n, 0.7) if abs(crop.angle - own.angle) < 0.5 else turned(n)))
@@ -118,7 +117,7 @@ def test_of_two_views_the_one_of_the_hands_own_side_counts() -> None:
     class TwoNets(TurnedNets):
         def landmarks(self, image: np.ndarray, crop: HandCrop) -> HandNetOutput:
             there = hand(int(image[0, 0, 0]))
-            own = palms.crop_of_landmarks(there.points)
+            own = networks.crop_of_landmarks(there.points)
             right = 0.999 if crop.angle > own.angle else 0.001
             return HandNetOutput(*there._replace(right=right, points=there.points + 30.0 * (right > 0.5)))
 

@@ -17,7 +17,6 @@ from getagrip.readers.footage import Footage
 from getagrip.studio.hands import HandLandmarks, Sighting
 from getagrip.studio.hands.detect_hands import find_landmarks
 from getagrip.studio.hands.networks import Nets
-from getagrip.studio.masks.background_model import BackgroundModel
 from getagrip.studio.masks.box_prompt import Box, track_box
 from getagrip.studio.masks.graph_cut import (
     COLOUR_PSEUDO_COUNT,
@@ -31,7 +30,7 @@ from getagrip.studio.masks.graph_cut import (
 )
 from getagrip.studio.masks.optical_flow import SmallFrames, hand_displacement
 from getagrip.studio.masks.propagate_clip import refine_full_resolution
-from getagrip.studio.masks.propagate_frame import Images
+from getagrip.studio.masks.propagate_frame import BackgroundModel, Images
 
 SIZE, STEP = (160, 120), (9.0, 4.0)
 BOX = (30.0, 25.0, 40.0, 30.0)

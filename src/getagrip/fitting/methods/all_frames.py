@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from getagrip.fitting.energy import Energy
-from getagrip.fitting.hand.hand_solution import SolvedHand
+from getagrip.fitting.hand.hand_error_model import SolvedHand
 from getagrip.fitting.hand.joint_hand_object import solve_with_hand
 from getagrip.fitting.methods import OnStage
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft

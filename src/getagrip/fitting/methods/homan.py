@@ -31,7 +31,14 @@ from getagrip.fitting.objective import contact_energy, mask_energy
 from getagrip.fitting.problem import EnergyOf, MethodResult, Problem
 from getagrip.fitting.solver.initial_poses import initial_poses
 from getagrip.fitting.solver.search import suppress_duplicates
-from getagrip.fitting.solver.solve import CURVATURE_FLOOR, METRES_PER_RADIAN, STATUS_OF_ENDING, Adam, Solution, minimise
+from getagrip.fitting.solver.solve import (
+    CURVATURE_FLOOR,
+    METRES_PER_RADIAN,
+    STATUS_OF_ENDING,
+    Adam,
+    Solution,
+    minimise,
+)
 from getagrip.geometry import camera, se3
 from getagrip.least_squares import BlockArrow
 from getagrip.result import Status

@@ -5,7 +5,14 @@ the first two, with a small deviation per frame, ``Frozen``: any of them with it
 ``MovingHand``: any of them in a hand whose pose is unknown as well.
 """
 
-from getagrip.fitting.motion.base import HandPoses, Motion, PosesInHand, Prior, hand_object_transforms, transform_poses
+from getagrip.fitting.motion.base import (
+    HandPoses,
+    Motion,
+    PosesInHand,
+    Prior,
+    hand_object_transforms,
+    transform_poses,
+)
 from getagrip.fitting.motion.dynamic import Free, interpolate_object_poses
 from getagrip.fitting.motion.frozen import Frozen
 from getagrip.fitting.motion.hinge import Hinge, tangents

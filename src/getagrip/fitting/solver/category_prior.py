@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from getagrip.clip import Clip
 from getagrip.fitting.energy import Energy, InHand, PosesInCamera, Quadratic, Term
-from getagrip.fitting.hand.hand_size import HAND_SIZE_SIGMA
+from getagrip.fitting.hand.joint_hand_object import HAND_SIZE_SIGMA
 from getagrip.fitting.problem import HALF_TURN_DISTANCE_RANGE, ObjectSurface
 from getagrip.geometry import se3
 from getagrip.hands.grips import CATEGORY_PRIORS, CategoryPrior

@@ -36,7 +36,7 @@ from getagrip.checks.calibration import (
 from getagrip.checks.features import was_corrected
 from getagrip.clip import Clip
 from getagrip.fitting.energy.mask import MASK_CROP_SIZE_PX
-from getagrip.fitting.hand.hand_solution import rigid_point_jacobian
+from getagrip.fitting.hand.hand_error_model import rigid_point_jacobian
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solver.category_prior import opening_angle

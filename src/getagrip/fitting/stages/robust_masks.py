@@ -23,8 +23,14 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
 from getagrip.fitting.energy.mask import SilhouetteMesh
-from getagrip.fitting.hand.hand_solution import interpolate_solved_hand
-from getagrip.fitting.motion import Free, PosesInHand, hand_object_transforms, interpolate_object_poses, transform_poses
+from getagrip.fitting.hand.hand_error_model import interpolate_solved_hand
+from getagrip.fitting.motion import (
+    Free,
+    PosesInHand,
+    hand_object_transforms,
+    interpolate_object_poses,
+    transform_poses,
+)
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.geometry import se3
 from getagrip.geometry.kernels.silhouette import silhouettes, unpack

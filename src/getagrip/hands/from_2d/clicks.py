@@ -38,10 +38,10 @@ from getagrip.hands.fit_joints import (
     joints_and_jacobian,
     model_pose,
 )
-from getagrip.hands.from_2d.hidden_joints import OcclusionDistances
 from getagrip.hands.from_2d.rigid_pnp import (
     CLICK_OUTLIER_SIGMAS,
     Clicks,
+    OcclusionDistances,
     click_equations,
     place_rigid_hands,
     turning_cost,

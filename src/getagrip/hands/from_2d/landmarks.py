@@ -32,8 +32,7 @@ from getagrip.hands.from_2d.clicks import (
     fit_clicked_hands,
     interpolate_key_hands,
 )
-from getagrip.hands.from_2d.hidden_joints import OcclusionDistances
-from getagrip.hands.from_2d.rigid_pnp import CLICK_SIGMA_M, Clicks
+from getagrip.hands.from_2d.rigid_pnp import CLICK_SIGMA_M, Clicks, OcclusionDistances
 from getagrip.hands.model import Side, hand_track
 
 LIFTED_HANDS_NOTE = "lifted to the generic hand"

@@ -43,7 +43,13 @@ from getagrip.readers.datasets import mano_tracks
 from getagrip.readers.datasets.cutting import TrackedDataset
 from getagrip.readers.datasets.dataset import Note
 from getagrip.readers.datasets.mano_tracks import check_mano_numbers
-from getagrip.readers.datasets.tracks import SequenceSource, Track, check_length, check_pinhole, intrinsics_from_opencv
+from getagrip.readers.datasets.tracks import (
+    SequenceSource,
+    Track,
+    check_length,
+    check_pinhole,
+    intrinsics_from_opencv,
+)
 from getagrip.stable_grasps.definition import GraspOptions
 
 ARCTIC_GRASP_OPTIONS = GraspOptions(tau=0.5, contact_mm=0.0, points="fragments", rule="first", shortest=20)

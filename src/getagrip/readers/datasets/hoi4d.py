@@ -41,7 +41,13 @@ from getagrip.readers.datasets import mano_tracks
 from getagrip.readers.datasets.cutting import TrackedDataset
 from getagrip.readers.datasets.dataset import Note
 from getagrip.readers.datasets.mano_tracks import check_mano_numbers
-from getagrip.readers.datasets.tracks import SequenceSource, Track, check_length, check_pinhole, intrinsics_from_opencv
+from getagrip.readers.datasets.tracks import (
+    SequenceSource,
+    Track,
+    check_length,
+    check_pinhole,
+    intrinsics_from_opencv,
+)
 from getagrip.stable_grasps.definition import MIN_GRASP_FRAMES, GraspOptions
 
 HOI4D_GRASP_OPTIONS = GraspOptions(tau=0.3, contact_mm=10.0, shortest=MIN_GRASP_FRAMES)

@@ -22,7 +22,7 @@ from getagrip.report.pages.result_page import MAIN_METRICS, PAGE_SCA_CONTACT, bu
 from getagrip.report.pages.scene_data import jpeg_base64
 from getagrip.report.pictures.panels import input_windows
 from getagrip.report.pictures.result_view import View
-from getagrip.report.pictures.stills import draw_overlay, draw_side_view
+from getagrip.report.pictures.stored_results import draw_overlay, draw_side_view
 from getagrip.result import Reconstruction
 from getagrip.result.findings import MIN_SHOWN_PROBABILITY
 

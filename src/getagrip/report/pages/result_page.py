@@ -52,7 +52,7 @@ from getagrip.report.pictures.panels import (
     TRUTH_COLOUR,
 )
 from getagrip.report.pictures.result_view import View, angle_curve, candidate_view, result_times
-from getagrip.report.pictures.stills import smooth_windows
+from getagrip.report.pictures.stored_results import smooth_windows
 from getagrip.result import Reconstruction
 from getagrip.result.findings import SUCCESS_DEFINITION
 

@@ -15,9 +15,15 @@ from getagrip.geometry.camera import Crops
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.rasterize import Surface
 from getagrip.report.pictures.contact_colours import CONTACT_BORDER_M, surface_distances
-from getagrip.report.pictures.panels import axis_points, crop_image, mask_contours, silhouette_lines, window_intrinsics
+from getagrip.report.pictures.panels import (
+    axis_points,
+    crop_image,
+    mask_contours,
+    silhouette_lines,
+    window_intrinsics,
+)
 from getagrip.report.pictures.result_view import View, candidate_view
-from getagrip.report.pictures.stills import smooth_track
+from getagrip.report.pictures.stored_results import smooth_track
 
 FRAME_PICTURE_PX, FRAME_JPEG_QUALITY = 480, 78
 """Side [px] and JPEG quality of the images."""

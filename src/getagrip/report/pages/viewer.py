@@ -49,13 +49,15 @@ from getagrip.report.pages.scene_data import FRAME_PICTURE_PX, draw_page_frame
 from getagrip.report.pictures.contact_colours import decimate_view, subdivide_object, surface_gap
 from getagrip.report.pictures.panels import input_windows
 from getagrip.report.pictures.result_view import View, candidate_view
-from getagrip.report.pictures.stills import WINDOW_MARGIN_FACTOR, WINDOW_SMOOTHING_S, smooth_track
 from getagrip.report.pictures.stored_results import (
+    WINDOW_MARGIN_FACTOR,
+    WINDOW_SMOOTHING_S,
     StoredResult,
     at_common_frames,
     distinct_path_parts,
     ground_truth_view,
     hand_only_view,
+    smooth_track,
 )
 from getagrip.report.serving import LOOPBACK, SCRIPTED_PAGE_HEADERS, QuietHandler, QuietServer
 from getagrip.result import Reconstruction, read_result, read_result_record

@@ -32,8 +32,7 @@ from getagrip.readers.footage import MAX_FOOTAGE_SIDE_PX, Footage
 from getagrip.studio.hands.hand_pixels import hand_mask
 from getagrip.studio.hands.hand_selection import HandLandmarks, Side, select_hand, unbiased_log_odds
 from getagrip.studio.hands.hand_tracking import Sighting, track_hands
-from getagrip.studio.hands.networks import Nets
-from getagrip.studio.hands.palms import crop_of_box
+from getagrip.studio.hands.networks import Nets, crop_of_box
 from getagrip.studio.hands.redetect import redetect_hand
 from getagrip.studio.hands.relift_hands import JOINTS_DEPTH_KEY
 from getagrip.studio.masks.box_prompt import MIN_BOX_CORRELATION, MIN_BOX_SIDE_PX, downscale_image, track_box

@@ -27,8 +27,7 @@ from getagrip.errors import UsageError
 from getagrip.io.terminal import format_count, format_ranges
 from getagrip.provenance import Source, assumed, estimated, measured
 from getagrip.studio.hands.hand_tracking import Sighting, drop_outlier_sightings
-from getagrip.studio.hands.networks import Nets
-from getagrip.studio.hands.palms import HAND_INPUT_PX, crop_of_landmarks
+from getagrip.studio.hands.networks import HAND_INPUT_PX, Nets, crop_of_landmarks
 
 FINGER_BEND_SCALE_M = 0.01
 """Distance of the fingers from the plane of the palm with log odds of 1 [m]."""

@@ -13,8 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip.studio.hands.networks import Nets
-from getagrip.studio.hands.palms import HAND_INPUT_PX, HandCrop, crop_of_landmarks, crop_of_palm
+from getagrip.studio.hands.networks import HAND_INPUT_PX, HandCrop, Nets, crop_of_landmarks, crop_of_palm
 
 MIN_HAND_CONFIDENCE = 0.5
 HIGH_HAND_CONFIDENCE = 0.75

@@ -21,8 +21,7 @@ from getagrip.studio.hands.hand_tracking import (
     Image,
     Sighting,
 )
-from getagrip.studio.hands.networks import Nets
-from getagrip.studio.hands.palms import HAND_INPUT_PX, HandCrop, angle_difference, crop_of_landmarks
+from getagrip.studio.hands.networks import HAND_INPUT_PX, HandCrop, Nets, angle_difference, crop_of_landmarks
 
 MIN_CONFIDENT_RUN_FRAMES = 6
 """Minimum number of frames of a confident run."""

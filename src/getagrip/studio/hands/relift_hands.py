@@ -26,8 +26,8 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands.from_2d.clicks import MIN_CLICKED_JOINTS
-from getagrip.hands.from_2d.hidden_joints import MAX_DISTANCE_IMAGE_PX, OcclusionDistances
 from getagrip.hands.from_2d.landmarks import hands_from_landmarks
+from getagrip.hands.from_2d.rigid_pnp import MAX_DISTANCE_IMAGE_PX, OcclusionDistances
 from getagrip.hands.model import Side
 from getagrip.io import arrays
 from getagrip.io.terminal import format_count, print_note

@@ -1,10 +1,15 @@
-"""The segments of an uncut clip, from its masks, hands and camera."""
+"""The segments of an uncut clip, from its masks, hands and camera.
+
+Clips from an uncut clip's segments: the whole clip as a timeline, or one clip per stable grasp.
+"""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -13,14 +18,18 @@ from scipy.ndimage import gaussian_filter1d
 from threadpoolctl import threadpool_limits
 
 from getagrip.clip import Clip, Masks, Segment, Truth, check_clip, check_masks, read_masks
+from getagrip.clip.read import SegmentList, add_segments
 from getagrip.clip.timeline import SIDES, Side, State
+from getagrip.clip.write import write_clip_contents
 from getagrip.errors import InputError
 from getagrip.fitting.hand.refine_hand import repair_hand
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
-from getagrip.provenance import EXTRAPOLATED_HANDS_KEY
+from getagrip.io import files
+from getagrip.provenance import EXTRAPOLATED_HANDS_KEY, assumed
 from getagrip.stable_grasps.definition import Definition
-from getagrip.stable_grasps.find import segment
+from getagrip.stable_grasps.find import as_listed, segment
+from getagrip.stable_grasps.grasp_lists import CLIP_NAME_SEPARATOR
 from getagrip.timelines.detect.grasp_evidence import (
     HINGE_FIT_METHOD,
     HingeFit,
@@ -271,3 +280,59 @@ def stable_grasps_in(clip: Clip, found: ReconstructedMotion, definition: Definit
     _, grasps = segment(replace(part, truth=posed), definition)
     spans = [(int(found.frames[first]), int(found.frames[last])) for first, last in grasps]
     return [span for span, (a, b) in zip(spans, grasps, strict=True) if found.grasped[a : b + 1].any()]
+
+
+def detected_segment_list(clip: Clip, found: DetectedSegments) -> SegmentList:
+    """Return the segments with their provenance."""
+    least = min(one.margin for one in found.segments)
+    source = f"found in masks and hands, each at least {least:.0f} nats before the next best"
+    still = STATIC_CAMERA_NOTE if clip.world is None else None
+    return SegmentList.of(clip, [one.segment for one in found.segments], source, still)
+
+
+def write_timeline(clip: Clip, masks: Masks, found: DetectedSegments, folder: Path) -> list[Path]:
+    """Write the whole clip with its segments into ``folder/<clip>``; return this folder, in a list.
+
+    Images of the clip's folder are copied. The folder of an earlier call is replaced.
+    """
+    whole = add_segments(clip, detected_segment_list(clip, found))
+    return [_write_clip_part(whole, masks, clip, np.arange(len(clip)), folder / clip.name)]
+
+
+def write_grasps(clip: Clip, masks: Masks, found: DetectedSegments, folder: Path) -> list[Path]:
+    """Write each stable grasp into ``folder/<clip>--<n>``, n from 1; return these folders.
+
+    Images of the clip's folder are copied. Folders of an earlier call are replaced.
+    """
+    grasps = [one for one in found.segments if one.segment.state == "grasp"]
+    stem = f"{clip.name}{CLIP_NAME_SEPARATOR}"
+    return [_write_grasp(clip, masks, found, one, folder / f"{stem}{n}") for n, one in enumerate(grasps, 1)]
+
+
+def _write_grasp(clip: Clip, masks: Masks, found: DetectedSegments, one: DetectedSegment, folder: Path) -> Path:
+    segment = one.segment
+    by = clip.with_side(segment.side)
+    assert by is not None
+    if by is not clip:
+        masks = replace(masks, hand=None)
+    rows = segment.rows[clip.hand_known(segment.side)[segment.rows]]
+    provenance = {
+        **clip.provenance,
+        "grasp": as_listed(by, segment.first, segment.last).row(),
+        "found": f"in the masks of {clip.name}, {one.margin:.0f} nats before the next best",
+        **{f"assumed {n}": assumed(note) for n, note in enumerate(found.notes, start=1)},
+    }
+    alone = replace(by, name=folder.name, segments=(), other_hand=None, provenance=provenance)
+    return _write_clip_part(alone.take(rows), masks.take(rows), clip, rows, folder)
+
+
+def _write_clip_part(part: Clip, masks: Masks, clip: Clip, rows: Int[ndarray, "n"], folder: Path) -> Path:
+    images = [clip.image_file(int(n)) for n in rows]
+    with files.new_folder(folder, ("clip.json",) if folder.exists() else ()) as new:
+        write_clip_contents(new, part, masks, None)
+        if all(images):
+            (new / "frames").mkdir()
+            for image in images:
+                assert image is not None
+                shutil.copyfile(image, new / "frames" / image.name)
+    return folder

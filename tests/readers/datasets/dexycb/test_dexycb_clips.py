@@ -18,7 +18,12 @@ from getagrip.hands.model import mirrored
 from getagrip.readers.datasets.cutting import clip_of_piece as clip_of
 from getagrip.readers.datasets.dataset import clips
 from getagrip.readers.datasets.dexycb.dexycb_clips import DexYcb, fit_recording_hand, support_plane, world_of_plane
-from getagrip.readers.datasets.dexycb.dexycb_files import PACKED_K, DexYcbRecording, ObjectPoses, find_dexycb_sequences
+from getagrip.readers.datasets.dexycb.dexycb_files import (
+    PACKED_K,
+    DexYcbRecording,
+    ObjectPoses,
+    find_dexycb_sequences,
+)
 from getagrip.readers.datasets.tracks import subject_from_clip_name
 from helpers.clips import box
 from helpers.dexycb_files import (
