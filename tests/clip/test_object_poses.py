@@ -204,7 +204,7 @@ def test_what_is_wrong_is_named(tmp_path: Path, moved: Any, refused: Refused) ->
     texts = {
         "a.txt": ("1 2 3", "3 numbers"),
         "tum.txt": ("0 0 0 1 0 0 0 1\n" * 8, "quaternions"),
-        "b.txt": ("1 x", "no number"),
+        "b.txt": ("1 x", "not a number"),
         "c.json": ('"x"', "a list of matrices"),
         "d.json": ('{"10": [[1]]}', "4x4"),
         "e.csv": ("a,b\n1,2\n", "columns"),
@@ -216,8 +216,8 @@ def test_what_is_wrong_is_named(tmp_path: Path, moved: Any, refused: Refused) ->
         ),
         "h.xml": ("", "the suffix"),
         "i.csv": (BOP_HEAD + "1,10,1,1\r,1 0 0,0 0 500\n", "got 4 cells"),
-        "j.csv": (BOP_HEAD + f"1,10,1,1,{'1 ' * 100_000},0 0 500,-1\n", "no CSV"),
-        "k.csv": (BOP_HEAD + '1,10,1,1,"1 0 0,0 0 500,-1\n', "no CSV"),
+        "j.csv": (BOP_HEAD + f"1,10,1,1,{'1 ' * 100_000},0 0 500,-1\n", "invalid CSV"),
+        "k.csv": (BOP_HEAD + '1,10,1,1,"1 0 0,0 0 500,-1\n', "invalid CSV"),
         "l.csv": (BOP_HEAD + "1,10,1,1\n", "4 cells"),
     }
     for name, (text, words) in texts.items():

@@ -118,7 +118,7 @@ def answer(folder: Path) -> None:
     try:
         lines = [json.loads(line) for line in files.read_bytes(folder / "requests.jsonl", 2**20).splitlines()]
     except (ValueError, RecursionError) as error:
-        raise UsageError("no JSON") from error
+        raise UsageError("invalid JSON") from error
     images = SHARED / "footage"
     if not images.exists():
         images.mkdir()

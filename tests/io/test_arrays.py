@@ -282,7 +282,7 @@ def test_plain_meshes_are_read_alike_either_way() -> None:
 def test_json_with_half_a_character_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
     for n, content in enumerate((rb'{"a": "\ud800"}', b'{"a": "\xed\xa0\x80"}', rb'{"\uDC00": 1}')):
         (tmp_path / f"{n}.json").write_bytes(content)
-        refused(lambda path=tmp_path / f"{n}.json": files.read_json(path), "no JSON")
+        refused(lambda path=tmp_path / f"{n}.json": files.read_json(path), "invalid JSON")
     (tmp_path / "whole.json").write_text(r'{"a": "\ud83d\ude00"}')
     assert files.read_json(tmp_path / "whole.json") == {"a": "\U0001f600"}
 

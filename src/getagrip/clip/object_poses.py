@@ -127,7 +127,7 @@ def _read_pose_text(path: Path) -> ndarray:
     try:
         values = np.fromiter(islice(numbers, 16 * MAX_POSES + 1), float)
     except ValueError as error:
-        raise InputError(path, "", f"a text that is no number ({error})", "12 or 16 numbers for each frame") from error
+        raise InputError(path, "", f"not a number ({error})", "12 or 16 numbers for each frame") from error
     if len(values) > 16 * MAX_POSES:
         raise InputError(path, "", f"more than {MAX_POSES} poses", f"at most {MAX_POSES}")
     wide = len(content.lstrip()[:4096].partition(b"\n")[0].replace(b",", b" ").split())

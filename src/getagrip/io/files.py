@@ -271,7 +271,7 @@ def read_any_json(path: Path, *, nan: bool = False) -> object:
             json.dumps(value, ensure_ascii=False).encode()
         return value
     except (ValueError, RecursionError) as error:  # RecursionError: nested thousands deep
-        raise InputError(path, "", f"text that is no JSON ({error})", "JSON") from error
+        raise InputError(path, "", f"invalid JSON ({error})", "JSON") from error
 
 
 def write_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
@@ -294,7 +294,7 @@ def csv_rows(path: Path, content: bytes, what: str) -> tuple[list[str], list[tup
                 raise InputError(path, f"line {lines.line_num}", f"{len(cells)} cells", f"{len(heads)}, as in line 1")
             rows.append((f"line {lines.line_num}, ", dict(zip(heads, map(unescape_cell, cells), strict=True))))
     except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(path, "", f"text that is no CSV ({error})", what) from error
+        raise InputError(path, "", f"invalid CSV ({error})", what) from error
     return heads, rows
 
 

@@ -339,7 +339,7 @@ class StandIns:
         self._count(len(raw))
         flat = np.frombuffer(raw.encode("latin1") if isinstance(raw, str) else raw, dtype.order + dtype.kind)
         if dtype.kind[0] == "U" and flat.view(f"{dtype.order}u4").max(initial=0) > MAX_CODE_POINT:
-            raise ValueError("text that is no Unicode")
+            raise ValueError("invalid Unicode")
         return flat.reshape(shape, order=order).copy(order)
 
     def _count(self, made: int) -> None:

@@ -111,7 +111,7 @@ HAND = f"handpose/refinehandpose_right/{INDEX}/7.pickle"
     ("name", "content", "named"),
     [
         (OBJPOSE, b"{}", "objects"),
-        (OBJPOSE, b"[1", "no JSON"),
+        (OBJPOSE, b"[1", "invalid JSON"),
         (OBJPOSE, b'{"objects": []}', "objects"),
         (OBJPOSE, b'{"objects": [{"center": {"x": 0, "y": 0, "z": 1}}]}', r"objects\[0\].rotation"),
         (OBJPOSE, b'{"objects": [{"rotation": {"x": 0, "y": 0, "z": NaN}}]}', "NaN"),
