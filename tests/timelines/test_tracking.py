@@ -24,24 +24,10 @@ from getagrip.timelines.tracking import (
     track_hypotheses,
 )
 from helpers.clips import box
+from helpers.random_motions import K, random_hypotheses, random_motions
 from helpers.scenes import by_other_hand, timeline
 
 VERTICES = box(0.1, 0.06, 0.04).vertices + np.array([0.01, -0.02, 0.03])
-K, N = 3, 5
-
-
-def random_motions(rng: np.random.Generator, count: int = N) -> np.ndarray:
-    return se3.rigid(se3.exp_so3(rng.normal(size=(count, 3))), rng.normal(0.0, 0.3, (count, 3)))
-
-
-def random_hypotheses(rng: np.random.Generator, frames: int = N) -> Hypotheses:
-    R, centre = se3.exp_so3(rng.normal(size=(K, frames, 3))), rng.normal(0.0, 0.2, (K, frames, 3))
-    return Hypotheses(R, centre, rng.uniform(0.8, 1.2, K), np.sort(rng.uniform(size=K)))
-
-
-@pytest.fixture(scope="module")
-def footage() -> TimelineInputs:
-    return TimelineInputs.of(repair_input(with_masks(*timeline()), Options(inits=4)))
 
 
 @given(st.integers(0, 99))

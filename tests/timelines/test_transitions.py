@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,23 +15,8 @@ from getagrip.fitting.pipeline import repair_input
 from getagrip.geometry import se3
 from getagrip.timelines.observations import Hypotheses, TimelineInputs
 from getagrip.timelines.transitions import TimelineMotion, _blend_motions, correct_depth, depth_jitter, split_at_gaps
+from helpers.random_motions import N, random_hypotheses, random_motions
 from helpers.scenes import timeline
-
-K, N = 3, 5
-
-
-def random_motions(rng: np.random.Generator, count: int = N) -> np.ndarray:
-    return se3.rigid(se3.exp_so3(rng.normal(size=(count, 3))), rng.normal(0.0, 0.3, (count, 3)))
-
-
-def random_hypotheses(rng: np.random.Generator, frames: int = N) -> Hypotheses:
-    R, centre = se3.exp_so3(rng.normal(size=(K, frames, 3))), rng.normal(0.0, 0.2, (K, frames, 3))
-    return Hypotheses(R, centre, rng.uniform(0.8, 1.2, K), np.sort(rng.uniform(size=K)))
-
-
-@pytest.fixture(scope="module")
-def footage() -> TimelineInputs:
-    return TimelineInputs.of(repair_input(with_masks(*timeline()), Options(inits=4)))
 
 
 @given(st.integers(0, 99))

@@ -53,7 +53,7 @@ class RepairedInput:
     """A clip to reconstruct, its hand repaired.
 
     Attributes:
-        original: the clip with the hand as it came; its mesh is not too large to fit (``Clip.light``).
+        original: the clip with the input hand; its mesh is not too large to fit (``Clip.light``).
         clip: the same with its hand between its neighbours where it jumps.
         glitches: where the hand jumps; None where nobody looked.
         notes: what is to be known about the mesh.

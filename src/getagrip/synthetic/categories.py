@@ -19,8 +19,6 @@ from getagrip.synthetic import objects
 from getagrip.synthetic.scene_options import SYNTHETIC_PRESETS, SceneOptions
 
 Split = Literal["train", "validation"]
-_EPIC_NAMES = "bottle bowl can cup glass mug pan plate saucepan"
-_ARCTIC_NAMES = "box capsule_machine espresso_machine kettle ketchup laptop microwave mixer notebook phone scissors"
 FORMER_PRESET_NAMES = {"hamer": "moderate", "frankmocap": "strong"}
 """Former names of presets."""
 SPLIT_SEEDS: dict[Split, range] = {"train": range(100_000, 100_005), "validation": range(200_000, 200_009)}
@@ -29,13 +27,41 @@ OTHER_HAND_FRACTION = 0.3
 """Fraction of clips in which the other hand comes in front."""
 
 
-def _makers(names: str) -> dict[str, Callable[[], Mesh]]:
-    return {name: getattr(objects, name) for name in names.split()}
-
-
-SYNTHETIC_CATEGORIES = _makers(f"{_EPIC_NAMES} {_ARCTIC_NAMES} spoon waffle_iron")
+SYNTHETIC_CATEGORIES: dict[str, Callable[[], Mesh]] = {
+    "bottle": objects.bottle,
+    "bowl": objects.bowl,
+    "can": objects.can,
+    "cup": objects.cup,
+    "glass": objects.glass,
+    "mug": objects.mug,
+    "pan": objects.pan,
+    "plate": objects.plate,
+    "saucepan": objects.saucepan,
+    "box": objects.box,
+    "capsule_machine": objects.capsule_machine,
+    "espresso_machine": objects.espresso_machine,
+    "kettle": objects.kettle,
+    "ketchup": objects.ketchup,
+    "laptop": objects.laptop,
+    "microwave": objects.microwave,
+    "mixer": objects.mixer,
+    "notebook": objects.notebook,
+    "phone": objects.phone,
+    "scissors": objects.scissors,
+    "spoon": objects.spoon,
+    "waffle_iron": objects.waffle_iron,
+}
 """Makers of the categories' meshes: the nine of EPIC-Grasps, then those of ARCTIC and others."""
-SHAPE_MAKERS = SYNTHETIC_CATEGORIES | _makers("book jar pitcher ball banana tape umbrella")
+SHAPE_MAKERS: dict[str, Callable[[], Mesh]] = {
+    **SYNTHETIC_CATEGORIES,
+    "book": objects.book,
+    "jar": objects.jar,
+    "pitcher": objects.pitcher,
+    "ball": objects.ball,
+    "banana": objects.banana,
+    "tape": objects.tape,
+    "umbrella": objects.umbrella,
+}
 """All built-in shapes: the categories, three more with a usual grasp (``hands.grips``), and four without."""
 
 

@@ -36,7 +36,7 @@ class Method:
     slow: bool = False
     """True if it is so slow that benchmarks run it only where it is named."""
     checks_masks: bool = False
-    """True if it is fitted again without outlier masks (``outlier_masks``)."""
+    """True if it is fitted again without outlier masks (``stages.robust_masks``)."""
     as_published: bool = False
     """True if it stays as its authors state it: its input is not changed."""
 
