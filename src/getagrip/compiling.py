@@ -43,7 +43,14 @@ and a process would use the first copy loaded, which depends on the cache: the l
 """
 KERNEL_GROUPS = (
     ("geometry.kernels.silhouette", "fitting.energy.mask"),
-    ("geometry.kernels.closest", "fitting.energy.contact", "geometry.rasterize", "hands.bending"),
+    (
+        "geometry.kernels.closest",
+        "geometry.kernels.rotations",
+        "fitting.solver.damped_step",
+        "fitting.energy.contact",
+        "geometry.rasterize",
+        "hands.bending",
+    ),
 )
 """Modules by compiling process: modules that share parts together, and processes of equal duration."""
 RARELY_USED_KERNEL_MODULES = (

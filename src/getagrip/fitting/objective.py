@@ -159,11 +159,11 @@ def contacts_by_level(problem: Problem) -> dict[int, HandContacts]:
     return {level: HandContacts.of(problem.clip.hand, count) for level, count in N_REGION_CONTACTS.items()}
 
 
-def distance_consistency_energy(problem: Problem, weight: float) -> Energy:
+def distance_consistency_energy(problem: Problem, weight: float, exact: bool = False) -> Energy:
     """Return the term by which hand and object keep their distances, at any level.
 
     ``weight`` multiplies the mean absolute change of squared distances, besides the focal length and the masks' mean
-    area: 1 in the authors' later code.
+    area: 1 in the authors' later code. ``exact`` as in the term: for motions without a shared pose.
     """
     observation = problem.observation
     vertices = problem.clip.mesh.vertices - problem.clip.mesh.centre
@@ -171,7 +171,7 @@ def distance_consistency_energy(problem: Problem, weight: float) -> Energy:
     hand = HandContacts.of(problem.clip.hand, N_CONSISTENCY_REGION_POINTS)
     # The authors' E_mask is divided by the mask's area, ours is not.
     each = weight * observation.area.mean() * observation.K[:, 0]
-    return lambda level, index: [InHand(ContactConsistencyTerm(points, hand.position[index], each[index]))]
+    return lambda level, index: [InHand(ContactConsistencyTerm(points, hand.position[index], each[index], exact=exact))]
 
 
 def sum_energies(*energies: Energy) -> Energy:

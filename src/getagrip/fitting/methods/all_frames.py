@@ -247,7 +247,7 @@ def fit_contact_consistency(problem: Problem, on_stage: OnStage) -> MethodResult
     """
 
     def energy(problem: Problem) -> Energy:
-        consistency = distance_consistency_energy(problem, CONTACT_CONSISTENCY_WEIGHT)
+        consistency = distance_consistency_energy(problem, CONTACT_CONSISTENCY_WEIGHT, exact=True)
         return sum_energies(total_energy(problem, contact=1.0), consistency)
 
     return dynamic(problem, on_stage, energy)

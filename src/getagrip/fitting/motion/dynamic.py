@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from getagrip.fitting.motion.base import Batch, PosesInHand, Prior, no_prior
 from getagrip.geometry import se3
+from getagrip.geometry.kernels.rotations import exp_so3
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class Free(Batch):
     def retract(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Free:
         return replace(
             self,
-            R=se3.exp_so3(local[..., 3:6]) @ self.R,
+            R=exp_so3(local[..., 3:6]) @ self.R,
             centre=self.centre + local[..., :3],
             log_scale=self.log_scale + (shared[:, 0] if self.free_scale else 0.0),
         )
@@ -59,7 +60,7 @@ class Free(Batch):
         R, centre = self.R[:, before], self.centre[:, before]
         turn = se3.log_so3(self.R[:, before + 1] @ np.swapaxes(R, -1, -2))
         centre = centre + share * (self.centre[:, before + 1] - centre)
-        return replace(self, R=se3.exp_so3(share * turn) @ R, centre=centre)
+        return replace(self, R=exp_so3(share * turn) @ R, centre=centre)
 
 
 def interpolate_object_poses(poses: PosesInHand, old: Int[ndarray, "n"], new: Int[ndarray, "m"]) -> PosesInHand:

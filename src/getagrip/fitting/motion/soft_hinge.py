@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from getagrip.fitting.motion.base import Batch, Motion, PosesInHand, Prior
 from getagrip.geometry import se3
+from getagrip.geometry.kernels.rotations import exp_so3, left_jacobian
 
 Core = TypeVar("Core", bound=Motion)
 
@@ -42,7 +43,7 @@ class Soft(Batch, Generic[Core]):
 
     def poses(self) -> PosesInHand:
         core_poses = self.core.poses()
-        R = se3.exp_so3(self.deviation[..., 3:]) @ core_poses.R
+        R = exp_so3(self.deviation[..., 3:]) @ core_poses.R
         return PosesInHand(R, core_poses.centre + self.deviation[..., :3], core_poses.scale)
 
     def rotated(self, R: Float[ndarray, "B 3 3"]) -> Soft[Core]:
@@ -53,11 +54,11 @@ class Soft(Batch, Generic[Core]):
 
     def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
         shared, angles = self.core.jacobian()
-        turn = se3.exp_so3(self.deviation[..., 3:])
+        turn = exp_so3(self.deviation[..., 3:])
         B, N = self.deviation.shape[:2]
         own = np.zeros((B, N, 7, 6))
         own[..., :3, :3] = np.eye(3)
-        own[..., 3:6, 3:] = se3.left_jacobian(self.deviation[..., 3:])
+        own[..., 3:6, 3:] = left_jacobian(self.deviation[..., 3:])
         return _rotate_jacobian(turn, shared), np.concatenate([_rotate_jacobian(turn, angles), own], axis=-1)
 
     def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
