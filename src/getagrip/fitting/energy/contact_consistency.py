@@ -12,7 +12,6 @@ from numpy import ndarray
 from getagrip.compiling import kernel
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic, Ties
 
-
 N_PARTNERS = 30
 """Number of frames that each frame is compared with in long clips; in shorter ones with all."""
 
@@ -52,7 +51,7 @@ class ContactConsistencyTerm:
 
 
 @cache
-def pairs_of_frames(N: int) -> tuple[Int[ndarray, "E"], Int[ndarray, "E"]]:
+def pairs_of_frames(N: int) -> tuple[Int[ndarray, "M"], Int[ndarray, "M"]]:
     """Return all pairs of N frames, or such that each frame is in ``N_PARTNERS`` pairs."""
     if N <= N_PARTNERS + 1:
         return np.tril_indices(N, -1)
@@ -65,7 +64,7 @@ def pairs_of_frames(N: int) -> tuple[Int[ndarray, "E"], Int[ndarray, "E"]]:
 def _evaluate_contact_consistency(
     R, centre, scale, points, hand, weight, delta, bound, first, second, value, g, H, block
 ):  # fmt: skip
-    """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7), block (B, E, 7, 7)."""
+    """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7), block (B, M, 7, 7)."""
     B, N = value.shape
     D = len(points) * hand.shape[1]
     share = (N - 1) / (2.0 * max(len(first), 1) * D)  # of the mean over N frames, in the mean over a frame's partners
@@ -100,7 +99,7 @@ def _add_pairwise_costs(distance, weight, delta, first, second, share, value):
 
 @kernel()
 def _add_pairwise_derivatives(distance, a, weight, delta, first, second, share, g, H, block):
-    """Fill in g (N, 7), H (N, 7, 7), block (E, 7, 7) from distances (N, D) and their derivatives (N, 7, D)."""
+    """Fill in g (N, 7), H (N, 7, 7), block (M, 7, 7) from distances (N, D) and their derivatives (N, 7, D)."""
     N, D = distance.shape
     slope, curve = np.zeros((N, D)), np.zeros((N, D))
     between, weighted = np.empty(D), np.empty((7, D))

@@ -26,8 +26,8 @@ Four kinds of terms follow.
 - **On both** (depth up to an unknown scale, which hides which): a ``Term`` that reads ``poses.hand`` itself and answers
   by the first 14 numbers.
 
-Terms that tie frames to each other have a ``Quadratic.cross`` or ``ties``, on the hand as on the object. Where the hand is fixed
-(poses without one) ``InHand`` is the term within, and ``OnHand`` is a constant, taken as zero.
+Terms that tie frames to each other have a ``Quadratic.cross`` or ``ties``, on the hand as on the object. Where the hand
+is fixed (poses without one) ``InHand`` is the term within, and ``OnHand`` is a constant, taken as zero.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class ObjectWithHand(PosesInCamera):
 
 @dataclass(frozen=True)
 class Ties:
-    """Hessians between E pairs of frames, of a term that ties few of the frames to each other.
+    """Hessians between M pairs of frames, of a term that ties few of the frames to each other.
 
     A dense Hessian between N frames grows by N^2. The solver uses these by what frames share, and bounds them from
     above by what is each frame's own: ``2 x y <= x^2 + y^2``.
@@ -102,9 +102,9 @@ class Ties:
         bound: what each frame's own Hessian is raised by in place of ``block``.
     """
 
-    first: Int[ndarray, "E"]
-    second: Int[ndarray, "E"]
-    block: Float[ndarray, "B E P P"]
+    first: Int[ndarray, "M"]
+    second: Int[ndarray, "M"]
+    block: Float[ndarray, "B M P P"]
     bound: Float[ndarray, "B N P P"]
 
     def within(self, size: int, first: int) -> Ties:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol, Self
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from numpy import ndarray
 
 from getagrip.geometry import se3
@@ -167,7 +167,7 @@ class Motion(Protocol):
         """Return the motion with its scale as a parameter."""
         ...
 
-    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Self:
+    def resampled(self, old: Int[ndarray, "M"], new: Num[ndarray, "N"]) -> Self:
         """Interpolate the motion at other frames (indices into a clip).
 
         Per-frame parameters are interpolated linearly, rotations along the shortest path.

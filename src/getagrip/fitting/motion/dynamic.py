@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from numpy import ndarray
 
 from getagrip.fitting.motion.base import Batch, PosesInHand, Prior, no_prior
@@ -54,7 +54,7 @@ class Free(Batch):
             log_scale=self.log_scale + (shared[:, 0] if self.free_scale else 0.0),
         )
 
-    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Free:
+    def resampled(self, old: Int[ndarray, "M"], new: Num[ndarray, "N"]) -> Free:
         before = np.clip(np.searchsorted(old, new, side="right") - 1, 0, len(old) - 2)
         share = ((new - old[before]) / (old[before + 1] - old[before]))[:, None]
         R, centre = self.R[:, before], self.centre[:, before]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from numpy import ndarray
 
 from getagrip.fitting.motion.base import Batch, PosesInHand, Prior
@@ -162,7 +162,7 @@ class Hinge(Batch):
             point=self.point + along * self.direction if self.free_location else self.point,
         )
 
-    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Hinge:
+    def resampled(self, old: Int[ndarray, "M"], new: Num[ndarray, "N"]) -> Hinge:
         return replace(self, angle=np.stack([np.interp(new, old, angle) for angle in self.angle]))
 
 

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Generic, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from numpy import ndarray
 
 from getagrip.clip import HandTrack
@@ -193,7 +193,7 @@ class MovingHand(Batch, Generic[Core]):
         core = self.core.retract(shared[:, :S], local[..., :L])
         return replace(self, core=core, constant=moved[0], own=moved[1])
 
-    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> MovingHand[Core]:
+    def resampled(self, old: Int[ndarray, "M"], new: Num[ndarray, "N"]) -> MovingHand[Core]:
         between = [[np.interp(new, old, column) for column in x.T] for x in self.own]
         core, own = self.core.resampled(old, new), np.swapaxes(np.array(between), 1, 2)
         return replace(self, core=core, own=own, assumed=self.assumed.at(new))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from numpy import ndarray
 
 from getagrip.fitting.motion.base import Batch, Motion, PosesInHand, Prior
@@ -82,7 +82,7 @@ class Soft(Batch, Generic[Core]):
         core = self.core.retract(shared, local[..., :-6])
         return replace(self, core=core, deviation=self.deviation + local[..., -6:])
 
-    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Soft[Core]:
+    def resampled(self, old: Int[ndarray, "M"], new: Num[ndarray, "N"]) -> Soft[Core]:
         between = [[np.interp(new, old, column) for column in d.T] for d in self.deviation]
         return replace(self, core=self.core.resampled(old, new), deviation=np.swapaxes(between, 1, 2))
 

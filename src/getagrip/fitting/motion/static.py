@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from numpy import ndarray
 
 from getagrip.fitting.motion.base import Batch, PosesInHand, Prior, no_prior
@@ -55,5 +55,5 @@ class Fixed(Batch):
             log_scale=self.log_scale + (shared[:, 6] if self.free_scale else 0.0),
         )
 
-    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Fixed:
+    def resampled(self, old: Int[ndarray, "M"], new: Num[ndarray, "N"]) -> Fixed:
         return replace(self, frames=len(new))

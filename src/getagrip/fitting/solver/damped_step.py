@@ -92,11 +92,7 @@ def _damped_steps(
             shared[b, i] = -right[i]
         most = 0.0
         for n in range(N):
-            for k in range(L):
-                own[b, n, k] = -shared_rows[n, k, S]
-                for i in range(S):
-                    own[b, n, k] -= shared_rows[n, k, i] * shared[b, i]
-            _backward(own_rows[n], own[b, n])
+            _solve_own(own_rows[n], shared_rows[n], shared[b], own[b, n])
             most = max(most, _length(J_shared[b, n], shared[b], J_local[b, n], own[b, n]))
         if most > max_turn:
             shared[b] *= max_turn / most
@@ -232,6 +228,17 @@ def _backward(factor, x):
         for j in range(i + 1, len(x)):
             x[i] -= factor[j, i] * x[j]
         x[i] /= factor[i, i]
+
+
+@kernel()
+def _solve_own(factor, rows, shared, own):
+    """Fill in a frame's own step (L,) after the shared one."""
+    S = len(shared)
+    for k in range(len(own)):
+        own[k] = -rows[k, S]
+        for i in range(S):
+            own[k] -= rows[k, i] * shared[i]
+    _backward(factor, own)
 
 
 @kernel()

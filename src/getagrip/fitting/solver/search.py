@@ -39,6 +39,9 @@ DEVIATION_STIFFNESS = (2e5 / 16, 1.2e3 / 16)
 """Stiffness of the deviations in the relaxed fit [px^2 per m^2, px^2 per rad^2]."""
 DUPLICATE_DISTANCE_DIAMETERS = 0.03
 """Distance of the posed surfaces up to which hypotheses are duplicates."""
+MEETING_DISTANCE_DIAMETERS, MEETING_LEAD, N_MEETING_STARTS = 0.05, 1.5, 2
+"""Rounds end once so many independent starts are within this distance of the best pose, and all other poses have at
+least this many times its energy."""
 AMBIGUOUS_SIDE_RATIO = 1.02
 """Ratio of energies up to which an object and its half turn are ambiguous. On 94 training clips of DexYCB and ARCTIC
 the ratio was 1.005 where the best was wrong, and 1.007 or more where the best was right."""
@@ -113,16 +116,16 @@ class Schedule:
 
     static_iterations: int = 6
     relaxed_iterations: int = 3
-    relaxed: int = 30
+    relaxed: int = 16
     coarse: tuple[Stage, ...] = (
-        Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=3),
+        Stage("coarse", level=64, frames=8, iterations=5, keep=12, rounds=2, parents=6),
         Stage(
-            "middle", 64, frames=15, iterations=6, keep=6, rounds=1, parents=6, rotations=LOCAL_ROTATIONS, within=4.0
+            "middle", 64, frames=15, iterations=6, keep=4, rounds=1, parents=4, rotations=LOCAL_ROTATIONS, within=4.0
         ),
     )
     fine: tuple[Stage, ...] = (
-        Stage("fine", level=128, frames=ALL_FRAMES, iterations=8, keep=4, within=2.5),
-        Stage("finest", level=256, frames=ALL_FRAMES, iterations=8, keep=4, half_turns=True),
+        Stage("fine", level=128, frames=ALL_FRAMES, iterations=8, keep=3, within=2.5),
+        Stage("finest", level=256, frames=ALL_FRAMES, iterations=12, keep=4, half_turns=True),
     )
 
 
@@ -243,9 +246,14 @@ def explore_rotations(
     stage: Stage,
     threads: int = 1,
 ) -> Solution[M]:
-    """Rotate the best solutions of a stage and fit them again, in several rounds; return old and new solutions."""
-    rng = np.random.default_rng(0)
+    """Rotate the best solutions of a stage and fit them again, in several rounds; return old and new solutions.
+
+    Rounds end early once ``starts_have_met``.
+    """
+    rng, independent = np.random.default_rng(0), len(solution.energy)
     for _ in range(stage.rounds):
+        if stage.rotations is GLOBAL_ROTATIONS and starts_have_met(solution, independent, surface):
+            break
         parents = suppress_duplicates(solution.motion.poses(), solution.energy, surface, stage.parents)
         if not len(parents):
             break
@@ -253,6 +261,21 @@ def explore_rotations(
         children = children.rotated(drawn_rotations(surface.axes, stage.rotations, len(parents), rng))
         solution = solution.concatenate(minimise(children, terms, T_cam_hand, stage.iterations, threads=threads))
     return solution
+
+
+def starts_have_met(solution: Solution[M], independent: int, surface: ObjectSurface) -> bool:
+    """Return whether two of the first ``independent`` solutions are the best pose, far ahead of all other poses."""
+    energy, poses = solution.energy, solution.motion.poses()
+    best = int(np.argmin(np.where(np.isfinite(energy), energy, np.inf)))
+    few = frame_indices(poses.R.shape[1], 3)
+    R, centre = poses.R[:, few], poses.centre[:, few]
+    apart = surface.rms_distance(
+        R[best], centre[best], float(poses.scale[best]), R, centre, poses.scale, MEETING_DISTANCE_DIAMETERS
+    )
+    same = apart <= MEETING_DISTANCE_DIAMETERS
+    others = energy[~same & np.isfinite(energy)]
+    ahead = not within_factor(np.array([energy[best], others.min(initial=np.inf)]), MEETING_LEAD)[1]
+    return bool(ahead and np.count_nonzero(same[:independent]) >= N_MEETING_STARTS)
 
 
 def within_factor(energy: Float[ndarray, "n"], within: float) -> Bool[ndarray, "n"]:

@@ -41,6 +41,8 @@ N_NEIGHBOUR_FRAMES = 6
 """Number of frames on either side, beside the frame itself, that determine the typical pose."""
 MAX_OUTLIER_FITS = 4
 """Maximum number of fits, the first one with all masks."""
+MAX_REFIT_CHANGE = 0.1
+"""Share of the masks up to which the next fit without outliers begins at the fit before."""
 MIN_OUTLIER_FIT_FRAMES = 4
 """Minimum number of frames that outliers can be determined from."""
 OUTLIER_AREA_FRACTION, OUTLIER_MEDIAN_FACTOR = 0.3, 4.0
@@ -48,10 +50,15 @@ OUTLIER_AREA_FRACTION, OUTLIER_MEDIAN_FACTOR = 0.3, 4.0
 than this multiple of the median mask's difference. Chosen on DexYCB's training subjects."""
 
 
-def fit_without_outliers(problem: Problem, fit: Callable[[Problem], MethodResult]) -> tuple[Problem, MethodResult]:
+def fit_without_outliers(
+    problem: Problem,
+    fit: Callable[[Problem], MethodResult],
+    refit: Callable[[Problem, MethodResult, Float[ndarray, "n"]], MethodResult],
+) -> tuple[Problem, MethodResult]:
     """Fit the problem without outlier masks; return the problem in the remaining frames, and its fit.
 
-    Raises what ``fit`` raises.
+    Where few masks leave or come back, ``refit`` begins at the fit before, given with the indices of the problem's
+    frames in that fit's. More of them may have led it astray, so the search is made anew. Raises what ``fit`` raises.
     """
     everywhere = np.arange(len(problem.clip))
     found, some, used, limit = fit(problem), problem, everywhere, np.inf
@@ -67,12 +74,20 @@ def fit_without_outliers(problem: Problem, fit: Callable[[Problem], MethodResult
         inliers = np.flatnonzero(met.differing <= limit)
         if np.array_equal(inliers, used):
             break
-        used = inliers
+        changed, before, used = np.setxor1d(inliers, used), used, inliers
         some = problem.at(problem.clip.take(used))
-        found = fit(some)
+        if len(changed) <= MAX_REFIT_CHANGE * len(everywhere) and can_refit(found):
+            found = refit(some, found, np.interp(used, before, np.arange(len(before))))
+        else:
+            found = fit(some)
     names = tuple(name for n, name in enumerate(problem.clip.frames) if n not in used)
     some = some.as_found(found)
     return replace(some, trust=replace(some.trust, outliers=names, outlier_threshold=limit)), found
+
+
+def can_refit(found: MethodResult) -> bool:
+    """Return whether a fit can begin at this one: a motion of the input mesh in the input hand."""
+    return found.motion is not None and found.energy_of is not None and found.warp is None and found.hand is None
 
 
 def outlier_threshold(met: MaskOverlap) -> float:
