@@ -38,7 +38,7 @@ def damped_steps(
     g_shared = np.zeros((B, S)) if prior.g_shared is None else prior.g_shared
     diagonal_shared = np.zeros(S) if prior.diagonal_shared is None else prior.diagonal_shared
     shared, own, contiguous = np.zeros((B, S)), np.zeros((B, N, L)), np.ascontiguousarray
-    diagonal = np.broadcast_to(prior.diagonal, (N, L))
+    diagonal = np.zeros((N, L)) + prior.diagonal
     ties = local.ties or Ties(NO_PAIR, NO_PAIR, np.zeros((B, 0, 7, 7)), local.H)
     _damped_steps(
         contiguous(J_shared), contiguous(J_local), local.H, local.g, contiguous(R_cam_hand), contiguous(diagonal),
