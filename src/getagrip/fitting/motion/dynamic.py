@@ -56,11 +56,14 @@ class Free(Batch):
 
     def resampled(self, old: Int[ndarray, "M"], new: Num[ndarray, "N"]) -> Free:
         before = np.clip(np.searchsorted(old, new, side="right") - 1, 0, len(old) - 2)
-        share = ((new - old[before]) / (old[before + 1] - old[before]))[:, None]
-        R, centre = self.R[:, before], self.centre[:, before]
-        turn = se3.log_so3(self.R[:, before + 1] @ np.swapaxes(R, -1, -2))
-        centre = centre + share * (self.centre[:, before + 1] - centre)
-        return replace(self, R=exp_so3(share * turn) @ R, centre=centre)
+        return self.mixed(before, before + 1, (new - old[before]) / (old[before + 1] - old[before]))
+
+    def mixed(self, first: Int[ndarray, "N"], second: Int[ndarray, "N"], share: Float[ndarray, "N"]) -> Free:
+        """Go the ``share`` of the way from the first frames to the second ones; beyond 0 and 1 this extrapolates."""
+        R, centre = self.R[:, first], self.centre[:, first]
+        turn = se3.log_so3(self.R[:, second] @ np.swapaxes(R, -1, -2))
+        centre = centre + share[:, None] * (self.centre[:, second] - centre)
+        return replace(self, R=exp_so3(share[:, None] * turn) @ R, centre=centre)
 
 
 def interpolate_object_poses(poses: PosesInHand, old: Int[ndarray, "n"], new: Int[ndarray, "m"]) -> PosesInHand:
