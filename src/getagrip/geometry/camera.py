@@ -75,7 +75,7 @@ class Crops:
 def bounding_boxes(masks: Shaped[ndarray, "T H W"]) -> Int[ndarray, "T 4"]:
     """Return (u0, v0, u1, v1) [px], end exclusive, of each mask's non-zero pixels; zeros for an empty mask."""
     if isinstance(masks, PackedMasks):
-        return masks.boxes
+        return masks.boxes.copy()
     boxes = np.zeros((len(masks), 4), dtype=int)
     for n, mask in enumerate(masks):
         rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
