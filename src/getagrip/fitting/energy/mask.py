@@ -75,6 +75,9 @@ def find_gap_pixels(
     half = MAX_GAP_PX // 2 + 1  # one of the two is at most this far from a gap's pixel
     within = around[: 2 * half + 1, : 2 * half + 1]
     for n, (s, h) in enumerate(zip(observed, hidden, strict=True)):
+        if not h.any():
+            found[n] = False
+            continue
         near, near_hidden = (cv2.dilate(m.view(np.uint8), around).view(bool) for m in (s, h))
         found[n] = near & near_hidden & ~(s | h)
         if found[n].any():
@@ -179,6 +182,13 @@ def observe_masks(
         area=observed.sum(axis=(1, 2)).astype(float),
         has_gaps=has_gaps,
     )
+
+
+def masks_leave_gaps(masks: Masks, gap_share: float = GAP_SHARE) -> bool:
+    """Return ``has_gaps`` of an ``Observation`` of the masks, without the rest of it."""
+    crops = _dither_crops(crops_around(masks.object, size=MASK_CROP_SIZE_PX))
+    observed, valid = _sample_masks(masks, crops, use_ignore=True)
+    return bool(find_gap_pixels(observed, ~valid, gap_share).any())
 
 
 def _dither_crops(crops: Crops) -> Crops:
