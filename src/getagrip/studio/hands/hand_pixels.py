@@ -208,4 +208,4 @@ def _remove_small_components(found: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"
         return found
     areas = stats[:, cv2.CC_STAT_AREA].astype(float)
     areas[0] = 0.0
-    return np.asarray(np.isin(labels, np.flatnonzero(areas > 0.05 * areas.max())))
+    return np.asarray((areas > 0.05 * areas.max())[labels])

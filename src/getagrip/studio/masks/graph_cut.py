@@ -191,8 +191,8 @@ def overlapping_components(mask: Mask, before: Mask) -> Mask:
     """Return the components of a mask that overlap with a mask ``before``."""
     import cv2
 
-    _, parts = cv2.connectedComponents(mask.astype(np.uint8))
-    return np.asarray(mask & np.isin(parts, np.unique(parts[before])))
+    count, parts = cv2.connectedComponents(mask.astype(np.uint8))
+    return np.asarray(mask & (np.bincount(parts[before], minlength=count) > 0)[parts])
 
 
 def edge_cost(image: Image) -> Float32[ndarray, "h w"]:
