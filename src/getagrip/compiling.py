@@ -45,7 +45,8 @@ KERNEL_GROUPS = (
     ("geometry.kernels.silhouette", "fitting.energy.mask"),
     (
         "geometry.kernels.closest", "geometry.kernels.rotations", "fitting.energy.contact",
-        "fitting.energy.contact_consistency", "fitting.solver.damped_step", "geometry.rasterize", "hands.bending",
+        "fitting.energy.contact_consistency", "fitting.motion.soft_hinge", "fitting.solver.damped_step",
+        "geometry.rasterize", "hands.bending",
     ),
 )  # fmt: skip
 """Modules by compiling process: modules that share parts together, and processes of equal duration."""

@@ -28,6 +28,16 @@ class Batch:
     def concatenate(self, other: Self) -> Self:
         return self._each(lambda mine, theirs: np.concatenate([mine, theirs]), other)
 
+    def updated(self, rows: Int[ndarray, "n"], other: Self) -> Self:
+        """Replace some of the hypotheses by the other's, of which it has as many."""
+
+        def update(mine: ndarray, theirs: ndarray) -> ndarray:
+            out = mine.copy()
+            out[rows] = theirs
+            return out
+
+        return self._each(update, other)
+
     def where(self, mask: Bool[ndarray, "B"], other: Self) -> Self:
         def choose(mine: ndarray, theirs: ndarray) -> ndarray:
             return np.asarray(np.where(mask.reshape(-1, *[1] * (mine.ndim - 1)), mine, theirs))
@@ -153,6 +163,10 @@ class Motion(Protocol):
 
     def take(self, index: ndarray) -> Self:
         """Return some of the hypotheses."""
+        ...
+
+    def updated(self, rows: Int[ndarray, "n"], other: Self) -> Self:
+        """Replace some of the hypotheses by the other's, of which it has as many."""
         ...
 
     def concatenate(self, other: Self) -> Self:

@@ -121,14 +121,12 @@ class _MotionState(Generic[M]):
     def accept(self, trial: _MotionState[M], active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> _MotionState[M]:
         if not better.any():
             return self
-        rows = active[better]
-        position = np.zeros(len(self.values), int)
-        position[active] = np.arange(len(active))
-        accepted = np.zeros(len(self.values), bool)
-        accepted[rows] = True
-        motion = trial.motion.take(position).where(accepted, self.motion)
-        self.local.put(rows, trial.local.take(np.flatnonzero(better)))
+        rows, chosen = active[better], np.flatnonzero(better)
+        if len(rows) == len(self.values):
+            return trial
+        self.local.put(rows, trial.local.take(chosen))
         self.values[rows] = trial.values[better]
+        motion = self.motion.updated(rows, trial.motion.take(chosen))
         return replace(self, motion=motion)
 
 
