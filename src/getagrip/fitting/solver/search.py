@@ -116,11 +116,11 @@ class Schedule:
 
     static_iterations: int = 6
     relaxed_iterations: int = 3
-    relaxed: int = 16
+    relaxed: int = 20
     coarse: tuple[Stage, ...] = (
-        Stage("coarse", level=64, frames=8, iterations=5, keep=12, rounds=2, parents=6),
+        Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=2),
         Stage(
-            "middle", 64, frames=15, iterations=6, keep=4, rounds=1, parents=4, rotations=LOCAL_ROTATIONS, within=4.0
+            "middle", 64, frames=15, iterations=6, keep=5, rounds=1, parents=5, rotations=LOCAL_ROTATIONS, within=4.0
         ),
     )
     fine: tuple[Stage, ...] = (
