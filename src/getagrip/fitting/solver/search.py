@@ -120,7 +120,7 @@ class Schedule:
     coarse: tuple[Stage, ...] = (
         Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=2),
         Stage(
-            "middle", 64, frames=15, iterations=6, keep=5, rounds=1, parents=5, rotations=LOCAL_ROTATIONS, within=4.0
+            "middle", 64, frames=15, iterations=6, keep=6, rounds=1, parents=6, rotations=LOCAL_ROTATIONS, within=4.0
         ),
     )
     fine: tuple[Stage, ...] = (
