@@ -118,9 +118,9 @@ class Schedule:
     relaxed_iterations: int = 3
     relaxed: int = 20
     coarse: tuple[Stage, ...] = (
-        Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=2),
+        Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=3, parents=12),
         Stage(
-            "middle", 64, frames=15, iterations=6, keep=6, rounds=1, parents=6, rotations=LOCAL_ROTATIONS, within=4.0
+            "middle", 64, frames=15, iterations=6, keep=6, rounds=1, parents=8, rotations=LOCAL_ROTATIONS, within=4.0
         ),
     )
     fine: tuple[Stage, ...] = (
