@@ -1,0 +1,313 @@
+"""Scenes of rendered videos for measurements: a person reaches for an object, moves it as measured, and lets go.
+
+A scene differs from what a fit assumes, as a real one does: the hand is a person's (``people``); the object is a scan,
+or a built-in kind of another size and shape, smoothly deformed; at either end the object stands while the hand comes
+or goes; the camera is worn on the head or stands in front. All is drawn from kind and seed. Kinds, motions and looks of
+validation lack in training: the split is a table here.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import count
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.clip import Clip, Truth, World
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.warp import align_similarity
+from getagrip.hands.grips import CATEGORY_PRIORS, Grip
+from getagrip.hands.model import PosedHand, Side, hand_track
+from getagrip.io import files
+from getagrip.result import Axis
+from getagrip.synthetic.categories import SHAPE_MAKERS, Split
+from getagrip.synthetic.grasp import Grasper
+from getagrip.synthetic.in_hand_motion import (
+    InHand,
+    draw_measured_motion,
+    draw_smooth_curves,
+    rotate_about_point,
+)
+from getagrip.synthetic.objects import draw_deformation
+from getagrip.synthetic.people import Person, YieldingDistance
+from getagrip.synthetic.scene import Scene, draw_near_grip, mirror_mesh, mirror_scene
+from getagrip.synthetic.scene_options import SceneOptions
+
+VALIDATION_KINDS = (
+    "banana", "book", "cup", "jar", "kettle", "ketchup", "pitcher", "plate", "saucepan", "tape",
+)  # fmt: skip
+"""Built-in kinds of validation; training has the others."""
+KINDS: dict[Split, tuple[str, ...]] = {
+    "train": tuple(kind for kind in SHAPE_MAKERS if kind not in VALIDATION_KINDS),
+    "validation": VALIDATION_KINDS,
+}
+SEEDS: dict[Split, range] = {"train": range(300_000, 300_008), "validation": range(400_000, 400_006)}
+"""Seeds of each kind's clips, and of each scan's: 152 clips and 60 without scans."""
+MOTIONS: dict[Split, tuple[str, ...]] = {"train": ("arctic",), "validation": ("dexycb", "arctic")}
+"""Datasets by whose measured motion objects move in the hand."""
+REACH_FRAMES, GRASP_FRAMES, FILM_FPS = 6, 24, 15.0
+"""Number of frames before the grasp, and after it; number of frames of the grasp; frames per second."""
+FILM_SIZE_PX = 640, 480
+SIZE_SIGMA, MAX_STRETCH, DEFORMATION = 0.12, 0.08, 0.02
+"""Of built-in kinds: standard deviation of the logarithm of the size, maximum relative stretch along each axis, root
+mean square displacement by the smooth deformation [diameters]."""
+GRIP_DEG = 10.0
+"""Root mean square rotation of an object in the hand away from its usual grip [degrees]."""
+RETREAT_M = np.array([0.15, 0.12, 0.08, 0.045, 0.015, 0.004])
+OPENNESS = np.array([1.0, 1.0, 1.0, 0.9, 0.6, 0.25])
+"""Distance of the hand from its grasp [m] and how far it is open, in the frames before the grasp and, in reverse, after
+it."""
+RETREAT_DIRECTION = np.array([0.55, 0.83, 0.0])
+"""Direction in which an open hand leaves, in the hand frame of a right hand: back, and away from the palm."""
+MAX_PALM_SPAN_M = 0.09
+"""Largest side of an object around which fingers close; else a hand takes it from its thinner side [m]."""
+MAX_SCAN_BYTES, MAX_SCAN_FACES = 64 * 2**20, 40_000
+MAX_TEXTURE_SIDE_PX = 8192
+
+
+@dataclass(frozen=True)
+class FilmedClip:
+    """What a rendered video shows.
+
+    Attributes:
+        kind: key of ``SHAPE_MAKERS``, or the name of the scan.
+        seed: seed of the random choices, of ``SEEDS``.
+        split: part of the benchmark.
+        side: hand.
+        camera: on the head, or in front of the person.
+        sized: whether the user states the object's size.
+        scan: textured OBJ file of the object; None for a built-in kind.
+    """
+
+    kind: str
+    seed: int
+    split: Split
+    side: Side
+    camera: Literal["head", "front"]
+    sized: bool
+    scan: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the clip."""
+        return f"{self.kind}-{self.seed}"
+
+
+def split_of_scan(name: str) -> Split:
+    """Return the part of a scan, by its name alone: about a third of scans are for validation."""
+    return "validation" if zlib.crc32(name.encode()) % 3 == 0 else "train"
+
+
+def filmed_clips(split: Split, scans: Sequence[Path] = ()) -> list[FilmedClip]:
+    """List the clips of a split in a fixed order, in which kinds and scans alternate, and sides, cameras and sizes."""
+    kinds: list[tuple[str, Path | None]] = [(kind, None) for kind in KINDS[split]]
+    kinds += [(f"scan-{scan.stem}", scan) for scan in sorted(scans) if split_of_scan(scan.stem) == split]
+    out, number = [], count()
+    for seed in SEEDS[split]:
+        for kind, scan in kinds:
+            n = next(number)
+            side: Side = "left" if n % 2 else "right"
+            out.append(FilmedClip(kind, seed, split, side, "front" if n // 2 % 2 else "head", n // 4 % 2 == 0, scan))
+    return out
+
+
+def make_filmed_scene(clip: FilmedClip) -> tuple[Scene, Float[ndarray, "V 3"] | None]:
+    """Make the scene of a clip, and the colours of a scan's vertices.
+
+    The scene's clip has the mesh that a user has: the scan, or the built-in kind. Raises ``InputError`` for a scan that
+    does not read.
+    """
+    rng = np.random.default_rng([clip.seed, *clip.kind.encode(), *b"filmed"])
+    mean, colours = (SHAPE_MAKERS[clip.kind](), None) if clip.scan is None else read_scan(clip.scan)
+    if clip.side == "left":
+        mean = mirror_mesh(mean)  # the scene is mirrored at the end
+    grasped, usual = mean, usual_grip(mean, rng)
+    if clip.scan is None:
+        stretch = np.exp(rng.normal(0.0, SIZE_SIGMA)) * (1.0 + MAX_STRETCH * rng.uniform(-1.0, 1.0, 3))
+        deformation = draw_deformation(Mesh(mean.vertices * stretch, mean.faces), DEFORMATION, rng)
+        grasped = Mesh(deformation(mean.vertices * stretch), mean.faces)
+        if clip.kind in CATEGORY_PRIORS:
+            grips = CATEGORY_PRIORS[clip.kind].grips
+            usual = grips[rng.integers(len(grips))]
+            usual = replace(usual, at=tuple(deformation(np.array([usual.at]) * stretch)[0].tolist()))
+        else:
+            usual = usual_grip(grasped, rng)
+    person = Person.draw(clip.seed + zlib.crc32(clip.kind.encode()))
+    grasper = Grasper(person.model.with_shape(), YieldingDistance(grasped, person.yields), usual.hold)
+    T_base = grasper.approach(draw_near_grip(usual, GRIP_DEG, grasper, rng))
+    moved = _window(draw_measured_motion(grasper, T_base, grasped, _whole_frames(rng), rng, MOTIONS[clip.split]), rng)
+    T_world_cam, T_world_obj, T_world_hand = _draw_poses(clip, moved, grasped, rng)
+    posed = _with_reach(moved.posed, grasper.opened())
+    T_grasped_mesh, size = align_similarity(mean, grasped, resize=True)
+    T_cam_world = se3.inverse(T_world_cam)
+    track, frames = hand_track(posed, T_cam_world @ T_world_hand), len(T_world_cam)
+    focal, (width, height) = float(rng.uniform(520.0, 720.0)), FILM_SIZE_PX
+    K = np.array([[focal, 0.0, width / 2.0], [0.0, focal, height / 2.0], [0.0, 0.0, 1.0]])
+    made = Clip(
+        name=clip.name,
+        category=clip.kind,
+        side="right",
+        fps=FILM_FPS,
+        frames=tuple(f"{n + 1:06d}" for n in range(frames)),
+        times=np.arange(frames) / FILM_FPS,
+        world=World(T_world_cam, np.array([0.0, 0.0, 1.0])),
+        size=FILM_SIZE_PX,
+        K=np.tile(K, (frames, 1, 1)),
+        mesh=mean,
+        scale="known" if clip.sized else "free",
+        hand=track,
+        truth=Truth(T_cam_world @ T_world_obj @ T_grasped_mesh, size, track.T_cam_hand, track.vertices),
+        provenance={"source": "rendered, by getagrip"},
+    )
+    shown = Mesh(se3.transform(se3.inverse(T_grasped_mesh), grasped.vertices), grasped.faces)
+    scene = Scene(made, shown, moved.axis, None, SceneOptions(frames=frames, fps=FILM_FPS))
+    return (scene if clip.side == "right" else mirror_scene(scene)), colours
+
+
+def usual_grip(mesh: Mesh, rng: np.random.Generator) -> Grip:
+    """Return a power grip about the longest principal axis of an object of any shape."""
+    areas = mesh.vertex_areas / mesh.vertex_areas.sum()
+    centre = areas @ mesh.vertices
+    axes = np.linalg.eigh((mesh.vertices - centre).T * areas @ (mesh.vertices - centre))[1].T
+    low, high = ((mesh.vertices - centre) @ axes.T).min(axis=0), ((mesh.vertices - centre) @ axes.T).max(axis=0)
+    thin, middle, long = np.argsort(high - low)
+    into = middle if (high - low)[thin] <= MAX_PALM_SPAN_M else thin
+    ahead, aside = rng.choice([-1.0, 1.0]) * axes[into], rng.choice([-1.0, 1.0]) * axes[long]
+    at = centre - 0.5 * (high - low)[into] * ahead
+    return Grip("palm", tuple(at.tolist()), tuple(ahead.tolist()), tuple(aside.tolist()))
+
+
+def _whole_frames(rng: np.random.Generator) -> int:
+    """Draw the number of frames of a whole grasp, of which the video shows a part."""
+    return int(np.clip(FILM_FPS * np.exp(rng.normal(np.log(2.5), 0.4)), GRASP_FRAMES, 4 * GRASP_FRAMES))
+
+
+def _window(whole: InHand, rng: np.random.Generator) -> InHand:
+    """Return a part of a motion, ``GRASP_FRAMES`` long."""
+    first = int(rng.integers(len(whole.T_hand_obj) - GRASP_FRAMES + 1))
+    part = slice(first, first + GRASP_FRAMES)
+    posed, axis = whole.posed, whole.axis
+    return InHand(
+        whole.T_hand_obj[part],
+        Axis(axis.point, axis.direction, axis.angle[part]),
+        replace(posed, vertices=posed.vertices[part], joints=posed.joints[part]),
+        None,
+    )
+
+
+def _with_reach(closed: PosedHand, opened: PosedHand) -> PosedHand:
+    """Add the frames before and after the grasp, in which the hand opens."""
+    share = OPENNESS[:, None, None]
+    added = [
+        [here[end] + share * (there - here[end]) for end in (0, -1)]
+        for here, there in ((closed.vertices, opened.vertices), (closed.joints, opened.joints))
+    ]
+    vertices, joints = (
+        np.concatenate([before, here, after[::-1]])
+        for (before, after), here in zip(added, (closed.vertices, closed.joints), strict=True)
+    )
+    return replace(closed, vertices=vertices, joints=joints)
+
+
+def _draw_poses(
+    clip: FilmedClip, moved: InHand, grasped: Mesh, rng: np.random.Generator
+) -> tuple[Float[ndarray, "T 4 4"], Float[ndarray, "T 4 4"], Float[ndarray, "T 4 4"]]:
+    """Draw the poses of camera, object and hand in the world, of a right hand.
+
+    World: x right, y ahead, z up, the object's centre near the origin. The object stands upright at either end, the
+    forearm comes from the right shoulder, and in between hand and object are lifted, carried and tilted.
+    """
+    T_hand_obj = moved.T_hand_obj
+    forearm = (T_hand_obj[0, :3, :3].T @ [1.0, 0.0, 0.0])[:2]
+    yaw = np.arctan2(-0.8, 0.6) - np.arctan2(forearm[1], forearm[0]) + rng.normal(0.0, 0.3)
+    upright = se3.exp_so3(np.array([0.0, 0.0, yaw]))
+    aloft = np.sin(np.linspace(0.0, np.pi, GRASP_FRAMES))[:, None] ** 0.7
+    tilt = aloft * np.radians(rng.uniform(15.0, 45.0)) * draw_smooth_curves(rng, GRASP_FRAMES, 3)
+    carried = np.array([0.06, 0.04, 0.03]) * draw_smooth_curves(rng, GRASP_FRAMES, 3) + [0.0, 0.0, 0.06]
+    lifted = rotate_about_point(np.zeros(3), tilt, aloft * carried) @ se3.rigid(upright, -upright @ grasped.centre)
+    T_world_hand = lifted @ se3.inverse(T_hand_obj)
+    retreats = [
+        se3.rigid(None, RETREAT_M[:, None] * (T_world_hand[end, :3, :3] @ RETREAT_DIRECTION)) @ T_world_hand[end]
+        for end in (0, -1)
+    ]
+    hand = np.concatenate([retreats[0], T_world_hand, retreats[1][::-1]])
+    object_ = np.concatenate(
+        [np.tile(lifted[0], (REACH_FRAMES, 1, 1)), lifted, np.tile(lifted[-1], (REACH_FRAMES, 1, 1))]
+    )
+    frames = len(hand)
+    middle = 0.5 * se3.transform(T_world_hand[0], moved.posed.joints[:1, 9])[0]
+    followed = middle + 0.6 * object_[:, :3, 3] - 0.6 * object_[0, :3, 3]
+    away = float(np.clip(0.26 + 1.05 * grasped.diameter, 0.38, 0.62)) * rng.uniform(0.9, 1.2)
+    down, around = np.radians(rng.uniform(30.0, 60.0)), 0.0
+    if clip.camera == "front":
+        away, down, around = 1.25 * away, np.radians(rng.uniform(8.0, 35.0)), np.pi + rng.uniform(-0.7, 0.7)
+    ahead = np.array([np.sin(around) * np.cos(down), -np.cos(around) * np.cos(down), np.sin(down)])
+    sway = 1.0 if clip.camera == "head" else 0.3  # a camera in front stands, or is held
+    eye = middle + away * ahead + sway * 0.025 * draw_smooth_curves(rng, frames, 3)
+    target = (followed if clip.camera == "head" else middle) + sway * 0.02 * draw_smooth_curves(rng, frames, 3)
+    z = target - eye
+    z /= np.linalg.norm(z, axis=1, keepdims=True)
+    x = np.cross(z, np.array([0.0, 0.0, 1.0]) + sway * 0.06 * draw_smooth_curves(rng, frames, 3))
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return se3.rigid(np.stack([x, np.cross(z, x), z], axis=-1), eye), object_, hand
+
+
+@cache
+def read_scan(path: Path) -> tuple[Mesh, Float[ndarray, "V 3"]]:
+    """Read a textured OBJ file: the mesh [m], and the texture's colour at each vertex, 0 to 1.
+
+    Raises ``InputError`` for a file that does not read, or without a texture beside it.
+    """
+    from getagrip.geometry.mesh_files import checked_mesh, parse_mesh
+    from getagrip.io.images import decode_image
+
+    lines = files.read_text(path, MAX_SCAN_BYTES).splitlines()
+    placed, uv = _texture_coordinates(path, lines)
+    material = _named_file(path, lines, "mtllib")
+    texture = _named_file(material, files.read_text(material, files.MAX_JSON_BYTES).splitlines(), "map_Kd")
+    image = decode_image(texture, "", files.read_bytes(texture, MAX_SCAN_BYTES), MAX_TEXTURE_SIDE_PX)
+    mesh = checked_mesh(path, *parse_mesh(path))
+    if len(mesh.faces) > MAX_SCAN_FACES:
+        raise InputError(path, "faces", f"{len(mesh.faces)} faces", f"a scan of at most {MAX_SCAN_FACES}, decimated")
+    from scipy.spatial import cKDTree
+
+    nearest = cKDTree(placed).query(mesh.vertices)[1]  # vertices are merged, and renumbered, as the mesh is checked
+    height, width = image.shape[:2]
+    column, row = (np.array([[0.0, 1.0]]) + np.array([[1.0, -1.0]]) * (uv[nearest] % 1.0)).T
+    pixels = np.atleast_3d(image)[
+        np.clip(row * height, 0, height - 1).astype(int), np.clip(column * width, 0, width - 1).astype(int)
+    ]
+    return mesh, np.broadcast_to(pixels[:, :3] / 255.0, mesh.vertices.shape).copy()
+
+
+def _texture_coordinates(path: Path, lines: Sequence[str]) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 2"]]:
+    """Return vertices that faces name with a texture coordinate, and these coordinates."""
+    try:
+        vertices = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=float)
+        points = np.array([line.split()[1:3] for line in lines if line.startswith("vt ")], dtype=float)
+        corners = {word for line in lines if line.startswith("f ") for word in line.split()[1:]}
+        pairs = np.array([word.split("/")[:2] for word in sorted(corners)], dtype=int) - 1
+        if pairs.min() < 0 or not (np.isfinite(vertices).all() and np.isfinite(points).all()):
+            raise ValueError
+        return vertices[pairs[:, 0]], points[pairs[:, 1]]
+    except (ValueError, IndexError) as error:
+        raise InputError(
+            path, "f", "faces without texture coordinates", "f v/vt ... in every face, counted from 1"
+        ) from error
+
+
+def _named_file(path: Path, lines: Sequence[str], key: str) -> Path:
+    """Return the file beside ``path`` that a line with a key names. Raises ``InputError``."""
+    name = next((line.split(maxsplit=1)[1].strip() for line in lines if line.strip().startswith(f"{key} ")), "")
+    if not files.is_portable_name(name):
+        raise InputError(path, key, files.shorten_value(name), "the name of a file in the same folder")
+    return files.inside(path.parent, name, key, "a file in the same folder", path)
