@@ -10,7 +10,7 @@ import pytest
 
 from getagrip.bench.ablations import ABLATIONS
 from getagrip.bench.grasps import GraspTrial
-from getagrip.bench.timelines import ALL_NOISE_LEVELS, TIMELINE_NOISE_LEVELS
+from getagrip.bench.sequences.timelines import ALL_NOISE_LEVELS, TIMELINE_NOISE_LEVELS
 from getagrip.cli import main
 from getagrip.cli.bench import BENCHES
 from getagrip.synthetic.noise import NOISE_PRESETS

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip.bench.job import run_trial
-from getagrip.bench.segments import (
+from getagrip.bench.sequences.segments import (
     SEGMENT_VARIANTS,
     TIME_DIRECTIONS,
     SequenceTrial,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.bench.timelines import segment_jumps, segment_scores
+from getagrip.bench.sequences.timelines import segment_jumps, segment_scores
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.metrics.symmetry import find_symmetries

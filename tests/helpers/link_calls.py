@@ -19,7 +19,7 @@ import trimesh
 
 from getagrip import cli
 from getagrip.bench.figures import FIGURES
-from getagrip.bench.segments import TIME_DIRECTIONS
+from getagrip.bench.sequences.segments import TIME_DIRECTIONS
 from getagrip.cli.datasets import DATASETS
 from getagrip.clip import Clip, Masks, Segment, input_sha256, read_clip, write_clip
 from getagrip.fitting.options import Options

@@ -24,8 +24,8 @@ from getagrip.io.options import Flag, Folder, OptionalFile
 if TYPE_CHECKING:
     from getagrip.bench.grasps import GraspBenchmark
     from getagrip.bench.job import Benchmark
-    from getagrip.bench.segments import SegmentBenchmark
-    from getagrip.bench.timelines import TimelineBenchmark
+    from getagrip.bench.sequences.segments import SegmentBenchmark
+    from getagrip.bench.sequences.timelines import TimelineBenchmark
 
 C = TypeVar("C", bound=ClipSource)
 T = TypeVar("T", bound=TimelineSource)
@@ -123,7 +123,7 @@ class BenchSegments(Bench[DexYcbSequences]):
     """Find grasps in sequences."""
 
     def benchmark(self) -> SegmentBenchmark:
-        from getagrip.bench.segments import SegmentBenchmark
+        from getagrip.bench.sequences.segments import SegmentBenchmark
 
         return SegmentBenchmark(self.source, self.options)
 
@@ -133,7 +133,7 @@ class BenchTimelines(Bench[T], Generic[T]):
     """Reconstruct timelines."""
 
     def benchmark(self) -> TimelineBenchmark:
-        from getagrip.bench.timelines import TimelineBenchmark
+        from getagrip.bench.sequences.timelines import TimelineBenchmark
 
         return TimelineBenchmark(self.source, self.options)
 

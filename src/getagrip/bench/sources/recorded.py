@@ -87,7 +87,7 @@ class TimelineSource(RecordedSource):
 
     def presets(self) -> Collection[str]:
         """Return the values of ``preset``. The clips in the folder have no noise."""
-        from getagrip.bench.timelines import ALL_NOISE_LEVELS, TIMELINE_NOISE_LEVELS
+        from getagrip.bench.sequences.timelines import ALL_NOISE_LEVELS, TIMELINE_NOISE_LEVELS
 
         return (ALL_NOISE_LEVELS, *TIMELINE_NOISE_LEVELS)
 

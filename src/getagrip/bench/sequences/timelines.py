@@ -42,7 +42,7 @@ TIMELINE_NOISE_LEVELS: dict[str, Noise] = {
     "ragged": NOISE_PRESETS["strong"],
 }
 """Noise of hands; ``ragged`` adds noise of masks, 1 px, to strong noise of hands."""
-TIMELINE_CODE = ("bench/timelines.py",)
+TIMELINE_CODE = ("bench/sequences/timelines.py",)
 """Code, besides a reconstruction's, that scores depend on."""
 ALL_NOISE_LEVELS = "all"
 """Value of ``--preset`` for all levels in turn."""

@@ -30,7 +30,7 @@ SEGMENT_GRASP_DEFINITION = Definition(contact=0.010)
 """Definition of a stable grasp, equal to the truth's (``readers.datasets.dexycb.dexycb_clips``)."""
 SEGMENT_VARIANTS = {"fits": "fits and Eq. 2", "motion": "first to last motion"}
 """Ways to detect grasps: ours; and a baseline by image motion alone, without a fit."""
-SEGMENT_CODE = ("timelines/detect", "bench/segments.py")
+SEGMENT_CODE = ("timelines/detect", "bench/sequences/segments.py")
 """Code, besides a reconstruction's, that detected segments depend on."""
 SEGMENT_TABLE_HEADINGS = ("", "sequences", "grasps", "tIoU", "F1@.5", "F1@.7", "start", "end", "missed", "false")
 SEGMENT_CSV_COLUMNS = ("sequence", "direction", "variant", "true", "found", "tiou", "start", "end")

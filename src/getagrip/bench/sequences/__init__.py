@@ -1,0 +1,1 @@
+"""Benchmarks on whole sequences: finding their grasps, and reconstructing them as timelines."""
