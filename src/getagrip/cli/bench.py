@@ -15,6 +15,7 @@ from getagrip.batch.scheduling import Executors, SchedulingOptions
 from getagrip.bench.options import ComparisonOptions
 from getagrip.bench.sources.ho3d_sequences import Ho3dEval
 from getagrip.bench.sources.recorded import DexYcb, DexYcbSequences, DexYcbTimelines, Hot3dTimelines, TimelineSource
+from getagrip.bench.sources.rendered_videos import RenderedVideos
 from getagrip.bench.sources.source import ClipFolder, ClipSource
 from getagrip.bench.sources.synthetic_clips import SyntheticSource
 from getagrip.cli.command import Command
@@ -24,8 +25,16 @@ from getagrip.io.options import Flag, Folder, OptionalFile
 if TYPE_CHECKING:
     from getagrip.bench.grasps import GraspBenchmark
     from getagrip.bench.job import Benchmark
+    from getagrip.bench.pixels.videos import VideoBenchmark
     from getagrip.bench.sequences.segments import SegmentBenchmark
     from getagrip.bench.sequences.timelines import TimelineBenchmark
+
+
+def _oracles_help(_: str) -> str:
+    from getagrip.bench.pixels.video_draft import ORACLES
+
+    return f"(of {', '.join(ORACLES)}; default: none)"
+
 
 C = TypeVar("C", bound=ClipSource)
 T = TypeVar("T", bound=TimelineSource)
@@ -39,7 +48,7 @@ class Bench(Command, Generic[C]):
     out: Folder
     """Folder of clips, results, tables and plots. Called again with the same folder, it continues where it stopped."""
     count: Annotated[int | None, arg(name="clips", metavar="N", help_behavior_hint="(default: all)")] = None
-    """Use N clips, evenly sampled."""
+    """Use N clips, evenly sampled; of video, whose order is mixed, the first N."""
     json: OptionalFile = None
     """Write every number here, unrounded."""
     every_frame: Flag = False
@@ -138,6 +147,20 @@ class BenchTimelines(Bench[T], Generic[T]):
         return TimelineBenchmark(self.source, self.options)
 
 
+@dataclass(frozen=True, kw_only=True)
+class BenchVideos(Bench[RenderedVideos]):
+    """Draft rendered videos."""
+
+    oracle: Annotated[tuple[str, ...], arg(metavar="NAME...", help_behavior_hint=_oracles_help)] = ()
+    """Also draft each video with the truth in place of a stage."""
+
+    def benchmark(self) -> VideoBenchmark:
+        from getagrip.bench.pixels.videos import VideoBenchmark
+        from getagrip.cli.calls import run_call
+
+        return VideoBenchmark(self.source, self.options, self.oracle, run_call)
+
+
 BENCHES: tuple[tuple[object, type[ClipSource]], ...] = (
     (BenchGrasps[SyntheticSource], SyntheticSource),
     (BenchGrasps[DexYcb], DexYcb),
@@ -145,6 +168,7 @@ BENCHES: tuple[tuple[object, type[ClipSource]], ...] = (
     (BenchSegments, DexYcbSequences),
     (BenchTimelines[DexYcbTimelines], DexYcbTimelines),
     (BenchTimelines[Hot3dTimelines], Hot3dTimelines),
+    (BenchVideos, RenderedVideos),
     (BenchGrasps[ClipFolder], ClipFolder),
 )
 """The subcommands: benchmark, and the source whose fields are options."""

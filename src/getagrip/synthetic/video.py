@@ -402,10 +402,12 @@ def write_rendered_video(
     on_frame: Callable[[], None] = lambda: None,
     size: tuple[int, int] = VIDEO_SIZE_PX,
     look: VideoLook | None = None,
+    overwrite: bool = False,
 ) -> RenderedVideo:
     """Render a scene into a new folder, ``video.mp4`` and ``mesh.obj``; call ``on_frame`` after each frame.
 
-    ``size``, ``seed`` and ``look`` are those of ``render_video``.
+    ``size``, ``seed`` and ``look`` are those of ``render_video``. With ``overwrite``, a folder with an older video is
+    replaced.
     """
 
     def watched() -> Iterator[UInt8[ndarray, "H W 3"]]:
@@ -413,7 +415,7 @@ def write_rendered_video(
             yield picture
             on_frame()
 
-    with files.new_folder(folder) as made:
+    with files.new_folder(folder, (VIDEO_FILE, MESH_FILE) if overwrite and folder.exists() else ()) as made:
         rate = Fraction(scene.clip.fps).limit_denominator(1000)
         write_video(made / VIDEO_FILE, watched(), rate, size)
         write_mesh(scene.object, made / MESH_FILE)

@@ -1,0 +1,317 @@
+"""A draft of a rendered video, stage by stage, each beside the truth; and with the truth in place of some stages.
+
+The stages are those of ``getagrip draft VIDEO --object-box ... --no-page``, by the same functions: landmarks, lifted
+hand, first mask from the box, frames of the grasp, masks carried from the first one, clip, fit. An ``Oracle`` puts the
+truth in place of stages; those after it are made of it. What the pipeline gains by an oracle is what that stage costs.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.bench.inputs.simulated_evidence import (
+    DEPTH_ERROR_LEVELS,
+    JOINT_ERROR_LEVELS,
+    simulate_depth,
+    simulate_joints_2d,
+)
+from getagrip.bench.pixels.pixel_errors import PixelTruth, hand_errors, mask_overlap, measure
+from getagrip.clip import Clip, HandTrack, Masks, Truth, read_clip, read_masks
+from getagrip.clip.depth import DEPTH_KEY
+from getagrip.errors import GetagripError, UsageError
+from getagrip.fitting.options import Options
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
+from getagrip.geometry.lens import Lens
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files import write_mesh
+from getagrip.io.files import Json
+from getagrip.provenance import estimated, measured
+from getagrip.reconstruct import reconstruct
+from getagrip.studio.detect_grasps import trim_reach
+from getagrip.studio.hands import HandLandmarks
+from getagrip.studio.hands.detect_hands import (
+    DETECTED_HANDS_FOLDER,
+    HandDetectionFiles,
+    find_landmarks,
+    lift_detected_landmarks,
+    write_detected_hands,
+)
+from getagrip.studio.hands.networks import Nets
+from getagrip.studio.jobs import RunCall
+from getagrip.studio.masks.box_prompt import segment_box_by_motion, track_box
+from getagrip.studio.masks.polygon_drafts import trace_polygons
+from getagrip.studio.store.export_clip import new_clip_call, write_labelled_clip_files
+from getagrip.studio.store.labels import OBJECT_LABEL, FrameLabels, Labels
+from getagrip.studio.store.tasks import open_footage
+from getagrip.synthetic.filmed import GRASP_FRAMES, REACH_FRAMES, FilmedClip
+from getagrip.synthetic.scene import Scene, ground_truth_masks
+from getagrip.synthetic.video import describe_rendered_video
+
+SIMULATED_LANDMARKS = "landmarks"
+"""Key of ``JOINT_ERROR_LEVELS``: errors of the networks on real images, drawn where the networks are absent."""
+SIMULATED_LOST_FRACTION = 0.05
+"""Fraction of frames without a hand, where the networks are absent."""
+SIMULATED_DEPTH = "realsense"
+"""Key of ``DEPTH_ERROR_LEVELS``: errors of the sensor's depth."""
+
+
+@dataclass(frozen=True)
+class Oracle:
+    """Stages in whose place the truth is put.
+
+    Attributes:
+        hands: the hand in 2D, its visible pixels and, at the fit, its shape and poses in 3D.
+        first_mask: the object's mask in the first frame with a hand, from which the others are carried.
+        interval: the frames of the grasp.
+        masks: the masks of object and hand in all frames, the first one included.
+        hand_size: the hand's size, and with it its distance: the lifted hand is scaled about the camera.
+        depth: nothing; a sensor's depth images are added.
+    """
+
+    hands: bool = False
+    first_mask: bool = False
+    interval: bool = False
+    masks: bool = False
+    hand_size: bool = False
+    depth: bool = False
+
+
+ORACLES: dict[str, Oracle] = {
+    "masks": Oracle(masks=True),
+    "first-mask": Oracle(first_mask=True),
+    "interval": Oracle(interval=True),
+    "hands": Oracle(hands=True),
+    "hand-size": Oracle(hand_size=True),
+    "depth": Oracle(depth=True),
+    "masks+hands": Oracle(masks=True, hands=True, interval=True),
+}
+"""Oracles by name."""
+
+
+class VideoDraft:
+    """The draft of a video whose scene is known; what oracles share is made once."""
+
+    def __init__(
+        self, filmed: FilmedClip, scene: Scene, video: Path, out: Path, nets: Nets | None, run: RunCall
+    ) -> None:
+        """Prepare the draft of a video; files go into the folder ``out``. Without ``nets`` landmarks are simulated.
+
+        ``run`` makes a clip of files as ``clip new`` does. Raises ``InputError`` for a video that does not read.
+        """
+        self.filmed, self.scene, self.video, self.out, self.nets, self.run = filmed, scene, video, out, nets, run
+        self.stages: Json = {}
+        """Errors of the stages, without oracles."""
+        with closing(open_footage(video)) as footage:
+            self.frames = [footage.image(n) for n in range(footage.frames)]
+            self.names, self.fps = [footage.name(n) for n in range(footage.frames)], footage.fps
+        self.known = describe_rendered_video(scene, video.parent, scene.clip.size)
+        self.lens, self.last = Lens(K=self.known.K), len(self.frames) - 1
+        self.true_masks = ground_truth_masks(scene)
+        truth = scene.clip.truth
+        assert truth is not None
+        assert scene.clip.hand.joints is not None
+        self.true_joints = se3.transform(truth.T_cam_hand, scene.clip.hand.joints)
+        mesh = Mesh(truth.scale * scene.clip.mesh.vertices, scene.clip.mesh.faces)
+        self.truth = PixelTruth(tuple(self.names), mesh, truth.T_cam_obj, self.true_joints, self.true_masks.object)
+
+    def solve(self, oracle: Oracle, options: Options) -> Json:
+        """Draft the video with an oracle, reconstruct it, and return its errors, or a failure in words."""
+        since = time.process_time()
+        try:
+            clip, masks = self.inputs(oracle)
+            ready = time.process_time()
+            result = reconstruct(clip, masks, options)
+        except GetagripError as error:
+            return {"failure": str(error), "seconds": time.process_time() - since}
+        fitted = time.process_time() - ready
+        errors = measure(self.truth, clip, result, masks)
+        return asdict(errors) | {"seconds": time.process_time() - since, "fit_seconds": fitted}
+
+    def inputs(self, oracle: Oracle) -> tuple[Clip, Masks]:
+        """Return the clip of the draft, and its masks. Raises ``GetagripError`` where a stage finds nothing."""
+        plain = oracle == Oracle()
+        found = self._true_hands if oracle.hands else self._found_hands
+        labels = self._first_mask(found, oracle)
+        labels = self._grasp(found, labels, oracle, plain)
+        folder = self.out / ("-".join(name for name, on in asdict(oracle).items() if on) or "plain")
+        since = time.process_time()
+        write_labelled_clip_files(
+            labels, self.frames.__getitem__, self.lens, folder, found=found, name=self.names.__getitem__
+        )
+        carried = time.process_time() - since
+        mesh, size = self._mesh_option()
+        call = new_clip_call(labels, folder, str(self.video))
+        self.run(replace(call, mesh=mesh, size_mm=size, out=folder / "clip", overwrite=True, quiet=True))
+        clip = read_clip(folder / "clip")
+        masks = read_masks(clip)
+        if plain:
+            rows = self.truth.rows(clip.frames)
+            first = int(rows[0])
+            each = [
+                mask_overlap([one], [other])
+                for one, other in zip(masks.object, self.true_masks.object[rows], strict=True)
+            ]
+            self.stages |= {"masks_iou": float(np.median(each)), "masks_iou_least": min(each), "first": first}
+            self.stages["masks_seconds"] = carried
+        return self._changed(oracle, clip, masks)
+
+    def _mesh_option(self) -> tuple[str, float | None]:
+        """Return what the user states of the object: its kind or a scan's file, and perhaps its size."""
+        size = float(f"{self.known.size_mm:.0f}") if self.filmed.sized else None
+        if self.filmed.scan is None:
+            return self.filmed.kind, size
+        path = self.out / "mesh.obj"
+        if not path.exists():
+            write_mesh(self.scene.clip.mesh, path)
+        return str(path), size
+
+    @cached_property
+    def _found_hands(self) -> HandDetectionFiles:
+        """Find the hand, lift it, and measure both."""
+        since = time.process_time()
+        landmarks = self._simulated_landmarks(False) if self.nets is None else self._landmarks(self.nets)
+        files = self._write_hands(landmarks, "found")
+        self.stages["hands_seconds"] = time.process_time() - since
+        return files
+
+    def _landmarks(self, nets: Nets) -> HandLandmarks:
+        with closing(open_footage(self.video)) as footage:
+            return find_landmarks(footage, (0, self.last), nets, None, np.array(self.known.box))
+
+    @cached_property
+    def _true_hands(self) -> HandDetectionFiles:
+        """Write the true landmarks, as if they were found, and the true visible pixels of the hand."""
+        return self._write_hands(self._simulated_landmarks(True), "true")
+
+    def _write_hands(self, landmarks: HandLandmarks, name: str) -> HandDetectionFiles:
+        from getagrip.io.images import write_mask
+
+        lifted = lift_detected_landmarks(landmarks, 0, self.scene.clip.size, self._K, measured("given"))
+        folder = self.out / name
+        folder.mkdir()
+        write_detected_hands(folder, lifted, self.frames.__getitem__, lambda _: None)
+        found = HandDetectionFiles(folder / DETECTED_HANDS_FOLDER)
+        true = project(self._K, self.true_joints)
+        if name == "true":
+            assert self.true_masks.hand is not None
+            for n in lifted.frames:
+                write_mask(found.folder / "masks" / f"{n + 1:06d}.png", self.true_masks.hand[n])
+            return found
+        rows, seen = np.array(landmarks.rows), np.array(lifted.frames)
+        size = np.ptp(true[rows], axis=1).max(axis=1)
+        off = np.linalg.norm(landmarks.points[rows] - true[rows], axis=2).mean(axis=1) / size
+        assert lifted.hand.joints is not None
+        errors = hand_errors(se3.transform(lifted.hand.T_cam_hand, lifted.hand.joints), self.true_joints[seen])
+        self.stages |= {
+            "hand_found": len(rows) / len(self.frames),
+            "side_right": landmarks.side == self.filmed.side,
+            "landmarks_off": float(np.median(off)),
+            "lifted": None if errors is None else asdict(errors),
+            "simulated": self.nets is None,
+        }
+        return found
+
+    @property
+    def _K(self) -> Float[ndarray, "3 3"]:
+        return self.scene.clip.K[0]
+
+    def _simulated_landmarks(self, exact: bool) -> HandLandmarks:
+        """Return the true joints as landmarks, ``exact`` or with the networks' measured errors."""
+        clip, side = self.scene.clip, self.filmed.side
+        points, joints = project(self._K, self.true_joints), self.true_joints
+        confidence = np.ones(points.shape[:2])
+        if not exact:
+            rng = np.random.default_rng([self.filmed.seed, *b"landmarks"])
+            points = simulate_joints_2d(clip, self.true_masks, JOINT_ERROR_LEVELS[SIMULATED_LANDMARKS], rng)
+            confidence[rng.random(len(confidence)) < SIMULATED_LOST_FRACTION] = 0.0
+        world = joints - joints.mean(axis=1, keepdims=True)
+        lost = confidence[:, 0] == 0.0
+        points, world = (np.where(lost[:, None, None], np.nan, each) for each in (points, world))
+        return HandLandmarks(side, points, confidence, world, estimated(f"{side}, simulated"))
+
+    def _first_mask(self, found: HandDetectionFiles, oracle: Oracle) -> Labels:
+        """Return labels of the first frame with a hand. Raises ``UsageError`` where nothing stands out in the box."""
+        n = min(found.joints)
+        true = self.true_masks.object[n]
+        if oracle.first_mask or oracle.masks:
+            mask = true
+        else:
+            *_, (box, _) = track_box(self.frames.__getitem__, self.known.box, 0, n)
+            mask = segment_box_by_motion(self.frames.__getitem__, n, (0, self.last), box, found.mask(n)) == OBJECT_LABEL
+            if oracle == Oracle():
+                self.stages["first_mask_iou"] = mask_overlap([mask], [true])
+        shapes = tuple(trace_polygons(mask))
+        if not shapes:
+            raise UsageError("first mask: nothing stands out in the box")
+        labels = {n: FrameLabels(object=shapes)}
+        first, last = min(found.joints), max(found.joints)
+        return Labels(self.video.name, self.scene.clip.size, self.filmed.side, self.fps, first, last, labels)
+
+    def _grasp(self, found: HandDetectionFiles, labels: Labels, oracle: Oracle, plain: bool) -> Labels:
+        """Return labels of the frames of the grasp; with true masks, of the object in each of them."""
+        true = REACH_FRAMES, REACH_FRAMES + GRASP_FRAMES - 1
+        if oracle.interval:
+            extent = max(true[0], labels.first), min(true[1], labels.last)
+            n = extent[0]
+            if n not in labels.frames and not oracle.masks:
+                labels = replace(
+                    labels, frames={n: FrameLabels(object=tuple(trace_polygons(self.true_masks.object[n])))}
+                )
+        else:
+            trimmed = trim_reach(labels, self.frames.__getitem__, found.joints, found.mask, (0, self.known.box))
+            labels, (extent, *_) = trimmed.labels, trimmed.extents
+        if plain:
+            self.stages |= {"interval_off": [extent[0] - true[0], extent[1] - true[1]]}
+        inside = range(extent[0], extent[1] + 1)
+        drawn = {n: shapes for n, shapes in labels.frames.items() if n in inside}
+        if oracle.masks:
+            traced = {n: tuple(trace_polygons(self.true_masks.object[n])) for n in inside}
+            drawn = {n: FrameLabels(object=shapes) for n, shapes in traced.items()}
+        return replace(labels, first=extent[0], last=extent[1], frames=drawn)
+
+    def _changed(self, oracle: Oracle, clip: Clip, masks: Masks) -> tuple[Clip, Masks]:
+        """Return the inputs of the fit with the truth in place of the oracle's."""
+        rows, scene = self.truth.rows(clip.frames), self.scene.clip
+        if oracle.masks:
+            masks = self.true_masks.take(rows)
+        if oracle.hands:
+            known = {key: value for key, value in clip.provenance.items() if not key.startswith("hands")}
+            known |= {"hands": measured("the truth")}
+            clip = replace(clip, hand=scene.hand.take(rows), side=self.filmed.side, provenance=known)
+        if oracle.hand_size:
+            clip = replace(
+                clip,
+                hand=self._at_true_distance(clip.hand, self.true_joints[rows]),
+                provenance=clip.provenance | {"hands_scale": measured("the truth")},
+            )
+        if oracle.depth:
+            truth = scene.truth
+            assert truth is not None
+            shown = replace(
+                scene.take(rows),
+                mesh=self.scene.object,
+                truth=Truth(truth.T_cam_obj[rows], 1.0, truth.T_cam_hand[rows], truth.hand_vertices[rows]),
+            )
+            rng = np.random.default_rng([self.filmed.seed, *b"depth"])
+            depth = simulate_depth(shown, masks, DEPTH_ERROR_LEVELS[SIMULATED_DEPTH], rng)
+            clip = replace(clip, evidence={**clip.evidence, DEPTH_KEY: depth})
+        return clip, masks
+
+    def _at_true_distance(self, hand: HandTrack, joints: Float[ndarray, "T 21 3"]) -> HandTrack:
+        """Scale a hand about the camera, by one factor, to the median distance of the true joints."""
+        assert hand.joints is not None
+        found = se3.transform(hand.T_cam_hand, hand.joints)
+        near, true = (np.linalg.norm(each.mean(axis=1), axis=1) for each in (found, joints))
+        factor = float(np.median(true / near))
+        T = hand.T_cam_hand.copy()
+        T[:, :3, 3] *= factor
+        return replace(hand.scaled(factor), T_cam_hand=T)
