@@ -175,7 +175,7 @@ def draw_measured_motion(
     datasets: Sequence[str] = tuple(MOTION_STATISTICS),
 ) -> InHand:
     """Draw a motion from the statistics of one of the ``datasets``, keys of ``MOTION_STATISTICS``."""
-    statistics = MOTION_STATISTICS[datasets[rng.integers(len(datasets))]]
+    statistics = MOTION_STATISTICS[datasets[int(rng.integers(len(datasets)))]]
     areas = grasped.vertex_areas / grasped.vertex_areas.sum()
     centre = areas @ grasped.vertices
     size = float(np.sqrt(areas @ np.sum((grasped.vertices - centre) ** 2, axis=1) / 3.0))

@@ -8,10 +8,11 @@ truth in place of stages; those after it are made of it. What the pipeline gains
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from pathlib import Path
+from typing import TypeVar, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -56,6 +57,7 @@ from getagrip.synthetic.filmed import GRASP_FRAMES, REACH_FRAMES, FilmedClip
 from getagrip.synthetic.scene import Scene, ground_truth_masks
 from getagrip.synthetic.video import describe_rendered_video
 
+M = TypeVar("M")
 SIMULATED_LANDMARKS = "landmarks"
 """Key of ``JOINT_ERROR_LEVELS``: errors of the networks on real images, drawn where the networks are absent."""
 SIMULATED_LOST_FRACTION = 0.05
@@ -108,6 +110,7 @@ class VideoDraft:
         ``run`` makes a clip of files as ``clip new`` does. Raises ``InputError`` for a video that does not read.
         """
         self.filmed, self.scene, self.video, self.out, self.nets, self.run = filmed, scene, video, out, nets, run
+        self._made: dict[str, object] = {}
         self.stages: Json = {}
         """Errors of the stages, without oracles."""
         with closing(open_footage(video)) as footage:
@@ -138,10 +141,27 @@ class VideoDraft:
 
     def inputs(self, oracle: Oracle) -> tuple[Clip, Masks]:
         """Return the clip of the draft, and its masks. Raises ``GetagripError`` where a stage finds nothing."""
+        files = replace(oracle, hand_size=False, depth=False)  # these two change the clip only
+        return self._changed(oracle, *self._once(f"{files}", lambda: self._clip(files)))
+
+    def _once(self, key: str, make: Callable[[], M]) -> M:
+        """Return what ``make`` makes, made once; it fails once, too."""
+        if key not in self._made:
+            try:
+                self._made[key] = make()
+            except GetagripError as error:
+                self._made[key] = error
+        made = self._made[key]
+        if isinstance(made, GetagripError):
+            raise made
+        return cast(M, made)
+
+    def _clip(self, oracle: Oracle) -> tuple[Clip, Masks]:
+        """Make the clip of the draft by files, as ``draft`` does."""
         plain = oracle == Oracle()
-        found = self._true_hands if oracle.hands else self._found_hands
-        labels = self._first_mask(found, oracle)
-        labels = self._grasp(found, labels, oracle, plain)
+        name = "true" if oracle.hands else "found"
+        found = self._once(name, self._true_hands if oracle.hands else self._found_hands)
+        labels = self._grasp(found, self._first_mask(found, oracle), oracle)
         folder = self.out / ("-".join(name for name, on in asdict(oracle).items() if on) or "plain")
         since = time.process_time()
         write_labelled_clip_files(
@@ -154,15 +174,11 @@ class VideoDraft:
         clip = read_clip(folder / "clip")
         masks = read_masks(clip)
         if plain:
-            rows = self.truth.rows(clip.frames)
-            first = int(rows[0])
-            each = [
-                mask_overlap([one], [other])
-                for one, other in zip(masks.object, self.true_masks.object[rows], strict=True)
-            ]
-            self.stages |= {"masks_iou": float(np.median(each)), "masks_iou_least": min(each), "first": first}
+            true = self.true_masks.object[self.truth.rows(clip.frames)]
+            each = [mask_overlap([one], [other]) for one, other in zip(masks.object, true, strict=True)]
+            self.stages |= {"masks_iou": float(np.median(each)), "masks_iou_least": min(each)}
             self.stages["masks_seconds"] = carried
-        return self._changed(oracle, clip, masks)
+        return clip, masks
 
     def _mesh_option(self) -> tuple[str, float | None]:
         """Return what the user states of the object: its kind or a scan's file, and perhaps its size."""
@@ -174,7 +190,6 @@ class VideoDraft:
             write_mesh(self.scene.clip.mesh, path)
         return str(path), size
 
-    @cached_property
     def _found_hands(self) -> HandDetectionFiles:
         """Find the hand, lift it, and measure both."""
         since = time.process_time()
@@ -187,7 +202,6 @@ class VideoDraft:
         with closing(open_footage(self.video)) as footage:
             return find_landmarks(footage, (0, self.last), nets, None, np.array(self.known.box))
 
-    @cached_property
     def _true_hands(self) -> HandDetectionFiles:
         """Write the true landmarks, as if they were found, and the true visible pixels of the hand."""
         return self._write_hands(self._simulated_landmarks(True), "true")
@@ -256,7 +270,7 @@ class VideoDraft:
         first, last = min(found.joints), max(found.joints)
         return Labels(self.video.name, self.scene.clip.size, self.filmed.side, self.fps, first, last, labels)
 
-    def _grasp(self, found: HandDetectionFiles, labels: Labels, oracle: Oracle, plain: bool) -> Labels:
+    def _grasp(self, found: HandDetectionFiles, labels: Labels, oracle: Oracle) -> Labels:
         """Return labels of the frames of the grasp; with true masks, of the object in each of them."""
         true = REACH_FRAMES, REACH_FRAMES + GRASP_FRAMES - 1
         if oracle.interval:
@@ -269,7 +283,7 @@ class VideoDraft:
         else:
             trimmed = trim_reach(labels, self.frames.__getitem__, found.joints, found.mask, (0, self.known.box))
             labels, (extent, *_) = trimmed.labels, trimmed.extents
-        if plain:
+        if oracle == Oracle():
             self.stages |= {"interval_off": [extent[0] - true[0], extent[1] - true[1]]}
         inside = range(extent[0], extent[1] + 1)
         drawn = {n: shapes for n, shapes in labels.frames.items() if n in inside}
