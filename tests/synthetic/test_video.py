@@ -41,7 +41,8 @@ def test_there_is_a_picture_of_each_frame_and_a_seed_makes_them(scene: Scene, pi
 
 def test_the_object_is_where_the_truth_has_it(scene: Scene, pictures: list[ndarray]) -> None:
     """Its colours, of its paint and its label, are in the true mask; the table's are where no body is."""
-    look, masks, bodies = VideoLook.draw(2), ground_truth_masks(scene), _Bodies.of(scene)
+    look, masks = VideoLook.draw(2), ground_truth_masks(scene)
+    bodies = _Bodies.of(scene, look)
     for n, picture in enumerate(pictures):
         chroma = picture / np.maximum(picture.sum(axis=-1, keepdims=True), 1.0)
         paints = np.stack([tone / tone.sum() for tone in (look.paint, look.label)])
@@ -54,8 +55,8 @@ def test_the_object_is_where_the_truth_has_it(scene: Scene, pictures: list[ndarr
 
 
 def test_bodies_shade_the_table_below_them_and_nothing_else(scene: Scene) -> None:
-    bodies = _Bodies.of(scene)
-    lamp = _Lamp.over(bodies, 0)
+    bodies = _Bodies.of(scene, VideoLook.draw(2))
+    lamp = _Lamp.over(bodies, 0, VideoLook.draw(2))
     T = bodies.T_world_cam(0)
     middle = T[:3, :3] @ bodies.vertices(0.0)[: len(scene.clip.hand.vertices[0])].mean(axis=0) + T[:3, 3]
     below = middle - lamp.direction * (middle[2] - bodies.table_height) / lamp.direction[2]
@@ -66,7 +67,7 @@ def test_bodies_shade_the_table_below_them_and_nothing_else(scene: Scene) -> Non
 
 def test_the_camera_sees_the_world_as_the_clip_has_it(scene: Scene) -> None:
     """Between two frames, bodies are between where they are in these."""
-    bodies = _Bodies.of(scene)
+    bodies = _Bodies.of(scene, VideoLook.draw(2))
     first, second = bodies.vertices(1.0), bodies.vertices(2.0)
     np.testing.assert_allclose(bodies.vertices(1.25), 0.75 * first + 0.25 * second, atol=1e-12)
     assert scene.clip.truth is not None

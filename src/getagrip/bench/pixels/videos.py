@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -18,14 +19,20 @@ from getagrip.bench.sources import Sample
 from getagrip.bench.sources.rendered_videos import RenderedVideos
 from getagrip.errors import InputError, unknown_choice_error
 from getagrip.fitting.options import Options
-from getagrip.io import files
 from getagrip.io.files import Json
 from getagrip.io.plugins import date_and_commit
 from getagrip.io.terminal import markdown_page, markdown_table, print_note
 from getagrip.studio.hands.networks import Nets, load_models
 from getagrip.studio.jobs import RunCall
-from getagrip.synthetic.filmed import FILM_FPS, GRASP_FRAMES, REACH_FRAMES, FilmedClip, make_filmed_scene
-from getagrip.synthetic.people import draw_look
+from getagrip.synthetic.filmed import (
+    FILM_FPS,
+    GRASP_FRAMES,
+    REACH_FRAMES,
+    FilmedClip,
+    draw_look,
+    make_filmed_scene,
+    read_scan,
+)
 from getagrip.synthetic.video import VIDEO_FILE, write_rendered_video
 
 VIDEO_CODE = ("bench", "studio", "synthetic", "readers", "cli")
@@ -68,9 +75,10 @@ class VideoTrial(Trial[VideoScores]):
         return VideoScores(self.name, failure=why, trace=trace, split=self.filmed.split)
 
     def scores(self) -> VideoScores:
-        filmed, scan = asdict(self.filmed), self.filmed.scan
-        filmed["scan"] = None if scan is None else files.sha256({scan.name: scan})
-        nets = open_networks(self.models)
+        filmed, scan, nets = asdict(self.filmed), self.filmed.scan, open_networks(self.models)
+        if scan is not None:
+            mesh, colours = read_scan(scan)
+            filmed["scan"] = sha256(mesh.vertices.tobytes() + colours.tobytes()).hexdigest()
         of = {
             "inputs": {"filmed": filmed, "oracles": self.oracles, "simulated": nets is None},
             "options": asdict(self.options),
