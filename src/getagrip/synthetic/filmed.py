@@ -66,8 +66,8 @@ REACH_FRAMES, GRASP_FRAMES, FILM_FPS = 6, 24, 15.0
 """Number of frames before the grasp, and after it; number of frames of the grasp; frames per second."""
 FILM_SIZE_PX = 640, 480
 OBJECT_SIZE_SIGMA, MAX_STRETCH, DEFORMATION = 0.12, 0.08, 0.02
-"""Of built-in kinds: standard deviation of the logarithm of the size, maximum relative stretch along each axis, root
-mean square displacement by the smooth deformation [diameters]."""
+"""Standard deviation of the logarithm of a built-in kind's size, maximum relative stretch along each axis, root mean
+square displacement by the smooth deformation [diameters]."""
 GRIP_DEG = 10.0
 """Root mean square rotation of an object in the hand away from its usual grip [degrees]."""
 RETREAT_M = np.array([0.15, 0.12, 0.08, 0.045, 0.015, 0.004])
@@ -93,12 +93,12 @@ SKIN_SIGMA = 0.35
 MAX_YIELD_M = 0.003
 """Greatest depth to which a person's flesh yields at contacts, uniform from 0 [m]; the object hides what is inside."""
 SLEEVE_STARTS_M: dict[Split, tuple[float, ...]] = {"train": (0.18, 0.30, 0.45), "validation": (0.03, 0.10, 0.18, 0.45)}
-"""Where the sleeve begins behind the wrist; at 0.45 m the arm is bare."""
+"""Distances behind the wrist at which a sleeve may begin; at 0.45 m the arm is bare [m]."""
 
 
 @dataclass(frozen=True)
 class FilmedClip:
-    """What a rendered video shows.
+    """Choices of a rendered video.
 
     Attributes:
         kind: key of ``SHAPE_MAKERS``, or the name of the scan.

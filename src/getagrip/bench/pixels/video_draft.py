@@ -77,6 +77,7 @@ class Oracle:
         masks: the masks of object and hand in all frames, the first one included.
         hand_size: the hand's size, and with it its distance: the lifted hand is scaled about the camera.
         depth: nothing; a sensor's depth images are added.
+        mesh: the object's mesh, with its size, in place of its kind's.
     """
 
     hands: bool = False
@@ -85,6 +86,7 @@ class Oracle:
     masks: bool = False
     hand_size: bool = False
     depth: bool = False
+    mesh: bool = False
 
 
 ORACLES: dict[str, Oracle] = {
@@ -94,7 +96,9 @@ ORACLES: dict[str, Oracle] = {
     "hands": Oracle(hands=True),
     "hand-size": Oracle(hand_size=True),
     "depth": Oracle(depth=True),
+    "mesh": Oracle(mesh=True),
     "masks+hands": Oracle(masks=True, hands=True, interval=True),
+    "masks+hands+mesh": Oracle(masks=True, hands=True, interval=True, mesh=True),
 }
 """Oracles by name."""
 
@@ -127,7 +131,7 @@ class VideoDraft:
         self.truth = PixelTruth(tuple(self.names), mesh, truth.T_cam_obj, self.true_joints, self.true_masks.object)
 
     def solve(self, oracle: Oracle, options: Options) -> Json:
-        """Draft the video with an oracle, reconstruct it, and return its errors, or a failure in words."""
+        """Reconstruct the draft with an oracle, and return its errors, or a failure in words."""
         since = time.process_time()
         try:
             clip, masks = self.inputs(oracle)
@@ -136,12 +140,13 @@ class VideoDraft:
         except GetagripError as error:
             return {"failure": str(error), "seconds": time.process_time() - since}
         fitted = time.process_time() - ready
-        errors = measure(self.truth, clip, result, masks)
+        truth = replace(self.truth, mesh=clip.mesh) if oracle.mesh else self.truth
+        errors = measure(truth, clip, result, masks)
         return asdict(errors) | {"seconds": time.process_time() - since, "fit_seconds": fitted}
 
     def inputs(self, oracle: Oracle) -> tuple[Clip, Masks]:
         """Return the clip of the draft, and its masks. Raises ``GetagripError`` where a stage finds nothing."""
-        files = replace(oracle, hand_size=False, depth=False)  # these two change the clip only
+        files = replace(oracle, hand_size=False, depth=False, mesh=False)  # these three change the clip only
         return self._changed(oracle, *self._once(f"{files}", lambda: self._clip(files)))
 
     def _once(self, key: str, make: Callable[[], M]) -> M:
@@ -307,6 +312,9 @@ class VideoDraft:
                 hand=self._at_true_distance(clip.hand, self.true_joints[rows]),
                 provenance=clip.provenance | {"hands_scale": measured("the truth")},
             )
+        if oracle.mesh:
+            known = clip.provenance | {"mesh": measured("the object's own"), "scale": measured("the truth")}
+            clip = replace(clip, mesh=self.scene.object, scale="known", provenance=known)
         if oracle.depth:
             truth = scene.truth
             assert truth is not None
