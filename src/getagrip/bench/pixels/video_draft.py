@@ -8,7 +8,7 @@ truth in place of stages; those after it are made of it. What the pipeline gains
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -33,14 +33,15 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.lens import Lens
 from getagrip.geometry.mesh import Mesh
-from getagrip.geometry.mesh_files import write_mesh
+from getagrip.hands.model import Side
 from getagrip.io.files import Json
+from getagrip.io.images import write_mask
 from getagrip.provenance import estimated, measured
 from getagrip.reconstruct import reconstruct
 from getagrip.studio.detect_grasps import trim_reach
 from getagrip.studio.hands import HandLandmarks
 from getagrip.studio.hands.detect_hands import (
-    DETECTED_HANDS_FOLDER,
+    DetectedHands,
     HandDetectionFiles,
     find_landmarks,
     lift_detected_landmarks,
@@ -73,7 +74,7 @@ class Oracle:
     Attributes:
         hands: the hand in 2D, its visible pixels and, at the fit, its shape and poses in 3D.
         first_mask: the object's mask in the first frame with a hand, from which the others are carried.
-        interval: the frames of the grasp.
+        interval: the frames of the grasp, and the object's mask in the first of them.
         masks: the masks of object and hand in all frames, the first one included.
         hand_size: the hand's size, and with it its distance: the lifted hand is scaled about the camera.
         depth: nothing; a sensor's depth images are added.
@@ -165,15 +166,16 @@ class VideoDraft:
         """Make the clip of the draft by files, as ``draft`` does."""
         plain = oracle == Oracle()
         name = "true" if oracle.hands else "found"
-        found = self._once(name, self._true_hands if oracle.hands else self._found_hands)
-        labels = self._grasp(found, self._first_mask(found, oracle), oracle)
+        found, side = self._once(name, self._true_hands if oracle.hands else self._found_hands)
+        labels = self._grasp(found, self._first_mask(found, side, oracle), oracle)
         folder = self.out / ("-".join(name for name, on in asdict(oracle).items() if on) or "plain")
         since = time.process_time()
         write_labelled_clip_files(
             labels, self.frames.__getitem__, self.lens, folder, found=found, name=self.names.__getitem__
         )
         carried = time.process_time() - since
-        mesh, size = self._mesh_option()
+        mesh = self.filmed.kind if self.filmed.scan is None else str(self.filmed.scan)
+        size = float(round(self.known.size_mm)) if self.filmed.sized else None
         call = new_clip_call(labels, folder, str(self.video))
         self.run(replace(call, mesh=mesh, size_mm=size, out=folder / "clip", overwrite=True, quiet=True))
         clip = read_clip(folder / "clip")
@@ -185,59 +187,45 @@ class VideoDraft:
             self.stages["masks_seconds"] = carried
         return clip, masks
 
-    def _mesh_option(self) -> tuple[str, float | None]:
-        """Return what the user states of the object: its kind or a scan's file, and perhaps its size."""
-        size = float(f"{self.known.size_mm:.0f}") if self.filmed.sized else None
-        if self.filmed.scan is None:
-            return self.filmed.kind, size
-        path = self.out / "mesh.obj"
-        if not path.exists():
-            write_mesh(self.scene.clip.mesh, path)
-        return str(path), size
-
-    def _found_hands(self) -> HandDetectionFiles:
-        """Find the hand, lift it, and measure both."""
+    def _found_hands(self) -> tuple[HandDetectionFiles, Side]:
+        """Find the hand, lift it, and measure both; return its files and its side."""
         since = time.process_time()
-        landmarks = self._simulated_landmarks(False) if self.nets is None else self._landmarks(self.nets)
-        files = self._write_hands(landmarks, "found")
-        self.stages["hands_seconds"] = time.process_time() - since
-        return files
-
-    def _landmarks(self, nets: Nets) -> HandLandmarks:
-        with closing(open_footage(self.video)) as footage:
-            return find_landmarks(footage, (0, self.last), nets, None, np.array(self.known.box))
-
-    def _true_hands(self) -> HandDetectionFiles:
-        """Write the true landmarks, as if they were found, and the true visible pixels of the hand."""
-        return self._write_hands(self._simulated_landmarks(True), "true")
-
-    def _write_hands(self, landmarks: HandLandmarks, name: str) -> HandDetectionFiles:
-        from getagrip.io.images import write_mask
-
-        lifted = lift_detected_landmarks(landmarks, 0, self.scene.clip.size, self._K, measured("given"))
-        folder = self.out / name
-        folder.mkdir()
-        write_detected_hands(folder, lifted, self.frames.__getitem__, lambda _: None)
-        found = HandDetectionFiles(folder / DETECTED_HANDS_FOLDER)
-        true = project(self._K, self.true_joints)
-        if name == "true":
-            assert self.true_masks.hand is not None
-            for n in lifted.frames:
-                write_mask(found.folder / "masks" / f"{n + 1:06d}.png", self.true_masks.hand[n])
-            return found
-        rows, seen = np.array(landmarks.rows), np.array(lifted.frames)
+        if self.nets is None:
+            landmarks = self._simulated_landmarks(exact=False)
+        else:
+            with closing(open_footage(self.video)) as footage:
+                landmarks = find_landmarks(footage, (0, self.last), self.nets, None, np.array(self.known.box))
+        files, lifted = self._write_hands(landmarks, "found")
+        seconds = time.process_time() - since
+        rows, true = np.array(landmarks.rows), project(self._K, self.true_joints)
         size = np.ptp(true[rows], axis=1).max(axis=1)
         off = np.linalg.norm(landmarks.points[rows] - true[rows], axis=2).mean(axis=1) / size
         assert lifted.hand.joints is not None
-        errors = hand_errors(se3.transform(lifted.hand.T_cam_hand, lifted.hand.joints), self.true_joints[seen])
+        joints = se3.transform(lifted.hand.T_cam_hand, lifted.hand.joints)
+        errors = hand_errors(joints, self.true_joints[np.array(lifted.frames)])
         self.stages |= {
             "hand_found": len(rows) / len(self.frames),
             "side_right": landmarks.side == self.filmed.side,
             "landmarks_off": float(np.median(off)),
             "lifted": None if errors is None else asdict(errors),
             "simulated": self.nets is None,
+            "hands_seconds": seconds,
         }
-        return found
+        return files, landmarks.side
+
+    def _true_hands(self) -> tuple[HandDetectionFiles, Side]:
+        """Write the true landmarks, as if they were found, and the true visible pixels of the hand."""
+        files, lifted = self._write_hands(self._simulated_landmarks(exact=True), "true")
+        assert self.true_masks.hand is not None
+        for n in lifted.frames:
+            write_mask(files.folder / "masks" / f"{n + 1:06d}.png", self.true_masks.hand[n])
+        return files, self.filmed.side
+
+    def _write_hands(self, landmarks: HandLandmarks, name: str) -> tuple[HandDetectionFiles, DetectedHands]:
+        lifted = lift_detected_landmarks(landmarks, 0, self.scene.clip.size, self._K, measured("given"))
+        (self.out / name).mkdir()
+        folder = write_detected_hands(self.out / name, lifted, self.frames.__getitem__, lambda _: None)
+        return HandDetectionFiles(folder), lifted
 
     @property
     def _K(self) -> Float[ndarray, "3 3"]:
@@ -257,7 +245,7 @@ class VideoDraft:
         points, world = (np.where(lost[:, None, None], np.nan, each) for each in (points, world))
         return HandLandmarks(side, points, confidence, world, estimated(f"{side}, simulated"))
 
-    def _first_mask(self, found: HandDetectionFiles, oracle: Oracle) -> Labels:
+    def _first_mask(self, found: HandDetectionFiles, side: Side, oracle: Oracle) -> Labels:
         """Return labels of the first frame with a hand. Raises ``UsageError`` where nothing stands out in the box."""
         n = min(found.joints)
         true = self.true_masks.object[n]
@@ -273,18 +261,14 @@ class VideoDraft:
             raise UsageError("first mask: nothing stands out in the box")
         labels = {n: FrameLabels(object=shapes)}
         first, last = min(found.joints), max(found.joints)
-        return Labels(self.video.name, self.scene.clip.size, self.filmed.side, self.fps, first, last, labels)
+        return Labels(self.video.name, self.scene.clip.size, side, self.fps, first, last, labels)
 
     def _grasp(self, found: HandDetectionFiles, labels: Labels, oracle: Oracle) -> Labels:
         """Return labels of the frames of the grasp; with true masks, of the object in each of them."""
         true = REACH_FRAMES, REACH_FRAMES + GRASP_FRAMES - 1
         if oracle.interval:
             extent = max(true[0], labels.first), min(true[1], labels.last)
-            n = extent[0]
-            if n not in labels.frames and not oracle.masks:
-                labels = replace(
-                    labels, frames={n: FrameLabels(object=tuple(trace_polygons(self.true_masks.object[n])))}
-                )
+            labels = replace(labels, frames=labels.frames if extent[0] in labels.frames else self._drawn(extent[:1]))
         else:
             trimmed = trim_reach(labels, self.frames.__getitem__, found.joints, found.mask, (0, self.known.box))
             labels, (extent, *_) = trimmed.labels, trimmed.extents
@@ -293,9 +277,12 @@ class VideoDraft:
         inside = range(extent[0], extent[1] + 1)
         drawn = {n: shapes for n, shapes in labels.frames.items() if n in inside}
         if oracle.masks:
-            traced = {n: tuple(trace_polygons(self.true_masks.object[n])) for n in inside}
-            drawn = {n: FrameLabels(object=shapes) for n, shapes in traced.items()}
+            drawn = self._drawn(inside)
         return replace(labels, first=extent[0], last=extent[1], frames=drawn)
+
+    def _drawn(self, frames: Sequence[int]) -> dict[int, FrameLabels]:
+        """Return the true mask of some frames as polygons."""
+        return {n: FrameLabels(object=tuple(trace_polygons(self.true_masks.object[n]))) for n in frames}
 
     def _changed(self, oracle: Oracle, clip: Clip, masks: Masks) -> tuple[Clip, Masks]:
         """Return the inputs of the fit with the truth in place of the oracle's."""

@@ -139,9 +139,7 @@ class VideoBenchmark(Benchmark[VideoScores]):
         filmed = {clip.name: clip for clip in self.source.filmed()}
         models, oracles = self.source.models, tuple(dict.fromkeys(self.oracles))
         if open_networks(models) is None:
-            print_note(
-                "the networks that find hands are absent: landmarks are simulated by their errors on real images"
-            )
+            print_note("the networks that find hands are absent: landmarks are simulated by errors on real images")
         return [
             VideoTrial(sample, results, overwrite, filmed[sample.name], oracles, self.options, models, self.run)
             for sample in samples
@@ -170,7 +168,7 @@ class VideoBenchmark(Benchmark[VideoScores]):
         text = markdown_page("Drafts of rendered videos", oracles, about, words=2)
         text = text.replace("\n| split", "\n" + "\n".join(markdown_table(stages)) + "\n\n| split", 1)
         content = {one.name: {"split": one.split, "stages": one.stages, "by": one.by} for one in done}
-        return BenchmarkPage("video", text, {".md": text}, {"-stages.csv": stages, "-oracles.csv": oracles}, content)
+        return BenchmarkPage("video", text, {".md": text}, {}, content)
 
 
 def _median(values: Sequence[float | None], form: str = ".0f") -> str:
