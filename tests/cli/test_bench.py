@@ -10,9 +10,9 @@ from getagrip.batch.ledger import Ledger
 from getagrip.batch.scheduling import SchedulingOptions
 from getagrip.bench import sources
 from getagrip.bench.sequences.segments import SegmentBenchmark, SequenceScores, SequenceTrial
+from getagrip.bench.sequences.timelines import TimelineScores, TimelineTrial
 from getagrip.bench.sources import Sample
 from getagrip.bench.sources.recorded import DexYcbSequences, Hot3dTimelines
-from getagrip.bench.sequences.timelines import TimelineScores, TimelineTrial
 from getagrip.cli.bench import BenchSegments, BenchTimelines
 from getagrip.errors import GetagripError, UsageError
 from getagrip.readers.datasets.hot3d.hot3d_clips import Hot3d

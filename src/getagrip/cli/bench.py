@@ -15,15 +15,18 @@ from getagrip.batch.scheduling import Executors, SchedulingOptions
 from getagrip.bench.options import ComparisonOptions
 from getagrip.bench.sources.ho3d_sequences import Ho3dEval
 from getagrip.bench.sources.recorded import DexYcb, DexYcbSequences, DexYcbTimelines, Hot3dTimelines, TimelineSource
+from getagrip.bench.sources.recording import Recording
 from getagrip.bench.sources.source import ClipFolder, ClipSource
 from getagrip.bench.sources.synthetic_clips import SyntheticSource
 from getagrip.cli.command import Command
+from getagrip.errors import UsageError
 from getagrip.fitting.options import Options, SearchOptions
 from getagrip.io.options import Flag, Folder, OptionalFile
 
 if TYPE_CHECKING:
     from getagrip.bench.grasps import GraspBenchmark
     from getagrip.bench.job import Benchmark
+    from getagrip.bench.pixels.recording import RecordingBenchmark
     from getagrip.bench.sequences.segments import SegmentBenchmark
     from getagrip.bench.sequences.timelines import TimelineBenchmark
 
@@ -138,6 +141,19 @@ class BenchTimelines(Bench[T], Generic[T]):
         return TimelineBenchmark(self.source, self.options)
 
 
+@dataclass(frozen=True, kw_only=True)
+class BenchRecording(Bench[Recording]):
+    """Draft real images with known poses."""
+
+    def benchmark(self) -> RecordingBenchmark:
+        from getagrip.bench.pixels.recording import RecordingBenchmark
+        from getagrip.cli.calls import run_draft
+
+        if self.search != SearchOptions() or self.every_frame:
+            raise UsageError("bench recording takes no options of the search, nor --every-frame: drafts have their own")
+        return RecordingBenchmark(run_draft)
+
+
 BENCHES: tuple[tuple[object, type[ClipSource]], ...] = (
     (BenchGrasps[SyntheticSource], SyntheticSource),
     (BenchGrasps[DexYcb], DexYcb),
@@ -145,6 +161,7 @@ BENCHES: tuple[tuple[object, type[ClipSource]], ...] = (
     (BenchSegments, DexYcbSequences),
     (BenchTimelines[DexYcbTimelines], DexYcbTimelines),
     (BenchTimelines[Hot3dTimelines], Hot3dTimelines),
+    (BenchRecording, Recording),
     (BenchGrasps[ClipFolder], ClipFolder),
 )
 """The subcommands: benchmark, and the source whose fields are options."""
