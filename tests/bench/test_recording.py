@@ -14,13 +14,13 @@ from getagrip.bench.sources.recording import Recording, read_views
 from getagrip.cli import main
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
-from getagrip.geometry.mesh_files import read_mesh, write_mesh
+from getagrip.geometry.mesh_files import read_mesh
 from getagrip.geometry.rasterize import depth_and_face
-from getagrip.io.images import write_depth, write_image
 from getagrip.io.terminal import cache_folder
 from getagrip.synthetic.scene import Scene, ground_truth_masks, make_scene, render_pictures
 from getagrip.synthetic.scene_options import SceneOptions
 from helpers.environment import DATA
+from helpers.recordings import write_recording
 
 MODELS = cache_folder() / "models"
 NEEDS_DATA = pytest.mark.skipif(not (DATA / "recording").is_dir(), reason="needs the recording of shared/data")
@@ -37,28 +37,12 @@ def scene() -> Scene:
 @pytest.fixture(scope="module")
 def rendered(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A rendered recording of one view, whose camera is the world."""
-    root = tmp_path_factory.mktemp("made") / "rendered"
-    clip, truth, (width, height) = scene.clip, scene.clip.truth, scene.clip.size
-    assert truth is not None
-    assert clip.hand.joints is not None
-    for kind in ("color", "depth"):
-        (root / "front" / kind).mkdir(parents=True)
-    for n, image in enumerate(render_pictures(scene)):
-        (grasped, faces), hands = scene.surfaces(n)
-        near = [depth_and_face(*surface, clip.K[n], clip.size)[0] for surface in ((grasped, faces), *hands)]
-        z = np.min(near, axis=0)
-        write_image(root / "front" / "color" / f"{n + 1:06d}.png", image)
-        depth = np.where(np.isfinite(z), 1e3 * np.where(np.isfinite(z), z, 0.0), 0.0).round().astype(np.uint16)
-        assert depth.shape == (height, width)
-        write_depth(root / "front" / "depth" / f"{n + 1:06d}.png", depth)
-    K = clip.K[0]
-    camera = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2], "T_world_cam": np.eye(4).tolist()}
-    (root / "cameras.json").write_text(json.dumps({"front": camera}))
-    joints = se3.transform(clip.hand.T_cam_hand, clip.hand.joints)
-    names = np.array([f"{n + 1:06d}" for n in range(N_FRAMES)])
-    np.savez(root / "truth.npz", frames=names, T_world_obj=truth.T_cam_obj, joints_world=joints)
-    write_mesh(scene.object, root / "mug.obj")
-    return root
+    depths = []
+    for n in range(N_FRAMES):
+        grasped, hands = scene.surfaces(n)
+        z = np.min([depth_and_face(*each, scene.clip.K[n], scene.clip.size)[0] for each in (grasped, *hands)], axis=0)
+        depths.append(np.where(np.isfinite(z), z, 0.0))
+    return write_recording(tmp_path_factory.mktemp("made") / "rendered", scene.clip, render_pictures(scene), depths)
 
 
 @pytest.fixture
@@ -140,7 +124,7 @@ def test_runs_are_drafts_and_are_kept(rendered: Path, tmp_path: Path, capsys: py
     [
         ("cameras.json", "neither cameras.json nor truth.json"),
         ("truth.npz", "no such file"),
-        ("mug.obj", "no mesh"),
+        ("object.obj", "no mesh"),
         ("front/depth/000003.png", r"000003\.png: no such file; must be depth of each image"),
     ],
 )
@@ -157,7 +141,7 @@ def test_a_missing_file_is_named(copied: Path, file: str, message: str) -> None:
         ({"T_world_obj": np.full((N_FRAMES, 4, 4), np.nan)}, "NaN or infinite"),
         ({"T_world_obj": np.tile(np.eye(4), (3, 1, 1))}, "shape"),
         ({"joints_world": np.zeros((N_FRAMES, 20, 3))}, "joints_world"),
-        ({"frames": np.array([f"{n + 2:06d}" for n in range(N_FRAMES)])}, r"no pose of '000001\.png'"),
+        ({"frames": np.array([f"{n + 1:06d}" for n in range(N_FRAMES)])}, r"no pose of '000000\.png'"),
         ({"frames": np.array([{}] * N_FRAMES, dtype=object)}, "Python objects"),
         ({"frames": np.array([f"{n}" for n in range(1001)])}, "1 to 1000 frames"),
     ],

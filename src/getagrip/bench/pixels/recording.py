@@ -22,7 +22,7 @@ from getagrip.batch.freshness import load_or_compute
 from getagrip.bench.job import Benchmark, BenchmarkPage, ClipScores, Trial
 from getagrip.bench.pixels.pixel_errors import PALM_JOINTS, PixelTruth, measure
 from getagrip.bench.sources import Sample
-from getagrip.bench.sources.recording import RecordingRun, View
+from getagrip.bench.sources.recording import TRUTH_JOINTS, RecordingRun, View
 from getagrip.clip import Clip, HandTrack, read_clip, read_masks
 from getagrip.clip.match_frames import number_of
 from getagrip.clip.write import write_hand
@@ -48,12 +48,12 @@ from getagrip.result import Reconstruction, read_result, software_versions
 
 BOX_MARGIN_PX = 4.0
 """By how much the truth's box in the first frame is grown on each side, before it is rounded."""
-N_OUTLINES, OUTLINE_SIGMA_PX, OUTLINE_STEP_PX = 3, 1.5, 1.5
-"""Number of outlined frames, standard deviation of the noise of an outline's corners in x and in y, and how far the
-outline may be from the silhouette before that."""
-HIDDEN_BEFORE_M = 0.008
-"""How far before the true surface the sensor must see something for the object to be hidden: half a finger."""
-FILL_ROUNDS = 5
+N_OUTLINES, OUTLINE_SIGMA_PX, OUTLINE_TOLERANCE_PX = 3, 1.5, 1.5
+"""Number of outlined frames, standard deviation of the noise of an outline's corners in x and in y, and the distance of
+the outline from the silhouette without it."""
+OCCLUDER_GAP_M = 0.008
+"""Distance before the true surface at which what the sensor sees hides the object: half a finger [m]."""
+N_JOINT_COMPLETIONS = 5
 """Rounds in which unknown joints are replaced by those of the hand that is fitted to the known ones."""
 DRAFT_CODE = ("bench/pixels", "bench/sources/recording.py", "cli/draft.py", "cli/draft_inputs.py", "studio", "readers")
 """Code, besides a reconstruction's, on which a draft and its errors depend."""
@@ -61,10 +61,10 @@ CONTOUR_COLOURS = {"truth": (40, 200, 60), "result": (255, 120, 0)}
 """Colours of contours in pictures, red, green and blue."""
 HEADINGS = (
     "view", "hands", "masks", "depth", "frames", "masks, IOU", "IOU", "ADD, mm", "ADD, %", "right", "along the ray, mm",
-    "across, mm", "rotation, °", "candidates", "nearest candidate, mm", "hand, joints, mm", "hand, depth, mm",
+    "across, mm", "rotation, °", "right candidate", "nearest candidate, mm", "hand, joints, mm", "hand, depth, mm",
     "solved hand, depth, mm", "palm's tilt, °", "right in hand, %", "right in camera, %", "refused by",
 )  # fmt: skip
-ALL_VIEWS = "all"
+ALL_VIEWS_LABEL = "all"
 
 
 @dataclass(frozen=True)
@@ -106,19 +106,12 @@ class RecordingTrial(Trial[RecordingScores]):
         return self.sample
 
     def failed(self, why: str, trace: str = "") -> RecordingScores:
-        run = self.made
-        return RecordingScores(
-            self.name, failure=why, trace=trace, run=(run.view.name, run.hands, run.masks, run.depth)
-        )
+        return RecordingScores(self.name, failure=why, trace=trace, run=self.made.way)
 
     def scores(self) -> RecordingScores:
         run = self.made
-        used = {
-            *run.view.images,
-            run.view.mesh,
-            *([] if run.depth == "none" and run.masks == "box" else run.view.depth),
-        }
-        named = {str(n): path for n, path in enumerate([*sorted(used), *([run.hand_file] if run.hand_file else [])])}
+        used = (*run.view.images, run.view.mesh, *run.view.depth, *([run.hand_file] if run.hand_file else []))
+        named = {str(n): path for n, path in enumerate(used)}
         truth = b"".join(array.tobytes() for array in (run.view.K, run.view.T_cam_obj, run.view.joints))
         of = {
             "inputs": files.sha256(named), "options": {"truth": sha256(truth).hexdigest(), "side": run.side},
@@ -151,8 +144,7 @@ class TrueScene:
     def __init__(self, view: View, mesh: Mesh) -> None:
         """Render the masks. Raises ``InputError``."""
         self.view, self.mesh = view, mesh
-        first = ImageFolder((view.images[0],), (1,))
-        self.size = first.size
+        self.size = ImageFolder(view.images[:1], (1,)).size
         self.masks = [self._visible(n) for n in range(len(view.frames))]
 
     def posed(self, n: int) -> Float[ndarray, "V 3"]:
@@ -175,7 +167,7 @@ class TrueScene:
             if sensed.shape != shown.shape:
                 expected = f"{shown.shape[1]} x {shown.shape[0]} pixels, as the image"
                 raise InputError(self.view.depth[n], "size", f"{sensed.shape[1]} x {sensed.shape[0]} pixels", expected)
-            shown &= (sensed <= 0.0) | (sensed > depth - HIDDEN_BEFORE_M)
+            shown &= (sensed <= 0.0) | (sensed > depth - OCCLUDER_GAP_M)
         return np.asarray(shown)
 
 
@@ -213,7 +205,7 @@ def draft_request(run: RecordingRun, scene: TrueScene, inputs: Path) -> DraftReq
             files.write_bytes(depth / f"{name}.png", files.read_bytes(path))
     if run.hand_file is not None:
         hands = run.hand_file
-    elif run.hands == "joints" and run.side is not None:
+    elif run.hands == TRUTH_JOINTS and run.side is not None:
         hands = inputs / "hand.npz"
         numbers = [number_of(name) for name in view.frames]
         extra = {"frames": np.array(numbers, dtype=np.int64), "K": view.K, "side": np.array(run.side)}
@@ -232,7 +224,7 @@ def drawn_outline(mask: Bool[ndarray, "H W"], rng: np.random.Generator) -> Bool[
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     drawn = np.zeros(mask.shape, dtype=np.uint8)
     if contours:
-        corners = cv2.approxPolyDP(max(contours, key=cv2.contourArea), OUTLINE_STEP_PX, True)[:, 0]
+        corners = cv2.approxPolyDP(max(contours, key=cv2.contourArea), OUTLINE_TOLERANCE_PX, True)[:, 0]
         off = corners + rng.normal(0.0, OUTLINE_SIGMA_PX, corners.shape)
         cv2.fillPoly(drawn, [np.round(off).astype(np.int32)], 1)
     return drawn.astype(bool)
@@ -251,7 +243,7 @@ def hand_of_joints(joints: Float[ndarray, "T 21 3"], side: Side) -> HandTrack:
         for joint in sorted({*np.flatnonzero(~at)} - {0, *range(1, 9), *PALM_JOINTS}):
             filled[n, joint] = filled[n, joint - 1] + filled[n, joint - 4] - filled[n, joint - 5]  # as the next finger
     fit = fit_joints(model, filled, "openpose")
-    for _ in range(0 if known.all() else FILL_ROUNDS):
+    for _ in range(0 if known.all() else N_JOINT_COMPLETIONS):
         assert fit.hand.joints is not None
         filled = np.where(known[..., None], joints, se3.transform(fit.hand.T_cam_hand, fit.hand.joints))
         fit = fit_joints(model, filled, "openpose")
@@ -274,7 +266,7 @@ def draw_contours(scene: TrueScene, clip: Clip, result: Reconstruction) -> ndarr
 
 @dataclass(frozen=True)
 class RecordingBenchmark(Benchmark[RecordingScores]):
-    """A benchmark that drafts every view in every way; ``draft`` is the command's code."""
+    """A benchmark that drafts every view from all sources; ``draft`` is the command's code."""
 
     draft: Callable[[DraftRequest], None] = field(repr=False)
 
@@ -285,17 +277,19 @@ class RecordingBenchmark(Benchmark[RecordingScores]):
         """Make the page: a row for each run, and the medians of each source of hands, masks and depth."""
         if not scores:
             return None
-        ways = list(dict.fromkeys(one.run[1:] for one in scores))
+        sources = list(dict.fromkeys(one.run[1:] for one in scores))
         grid: list[Sequence[str]] = [HEADINGS]
         grid += [[*one.run, *_cells([one])] for one in scores]
         if len({one.run[0] for one in scores}) > 1:
-            grid += [[ALL_VIEWS, *way, *_cells([one for one in scores if one.run[1:] == way])] for way in ways]
+            grid += [
+                [ALL_VIEWS_LABEL, *each, *_cells([one for one in scores if one.run[1:] == each])] for each in sources
+            ]
         about = [
             f"drafts of real images with known poses; made {date_and_commit()}",
             "right: ADD up to symmetries, in the camera, below 10 % of the diameter",
             f"box: the truth's in the first frame, {BOX_MARGIN_PX:g} px larger on each side, rounded; outlines: the "
             f"visible silhouette in {N_OUTLINES} frames, its corners {OUTLINE_SIGMA_PX:g} px off; true: rendered, less "
-            f"what the sensor sees {1e3 * HIDDEN_BEFORE_M:g} mm or more before it",
+            f"what the sensor sees {1e3 * OCCLUDER_GAP_M:g} mm or more before it",
             "rows of all views: medians of the drafts that were made",
         ]
         text = markdown_page("Drafts of real images", grid, about, words=4)

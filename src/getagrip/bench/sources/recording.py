@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
 MAX_VIEWS, MAX_RECORDING_FRAMES = 64, 1000
 """Maximum numbers of views of a recording, and of frames of a view."""
-MIN_GIVEN_JOINTS = 12
+MIN_TRUTH_JOINTS = 12
 """Least number of known joints in each frame of hands that are made of a recording's joints."""
-FOUND_HANDS, GIVEN_JOINTS = "found", "joints"
+DRAFTED_HANDS, TRUTH_JOINTS = "found", "joints"
 """Hands that the draft finds, and those of the recording's joints; others have a user's name."""
 MASK_CHOICES, DEPTH_CHOICES = ("box", "outlines", "true"), ("none", "sensor")
 REPEATED_NAMES = ("000001", "000002")
@@ -74,7 +74,7 @@ class View:
 
         known = np.isfinite(self.joints).all(axis=2)
         palm = known[:, [0, 5, 9, 13, 17]]
-        return bool((known.sum(axis=1) >= MIN_GIVEN_JOINTS).all() and (palm.sum(axis=1) >= 3).all())
+        return bool((known.sum(axis=1) >= MIN_TRUTH_JOINTS).all() and (palm.sum(axis=1) >= 3).all())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,20 +137,20 @@ class Recording(ClipSource):
         return [run for view in views for run in self._runs(view, clips)], []
 
     def _runs(self, view: View, clips: Path) -> list[Sample]:
-        known = [FOUND_HANDS, *([GIVEN_JOINTS] if view.has_joints else [])]
+        known = [DRAFTED_HANDS, *([TRUTH_JOINTS] if view.has_joints else [])]
         depths = [each for each in self.depth or DEPTH_CHOICES if each == "none" or view.depth]
         runs: list[Sample] = []
         for hands, masks, depth in product(self.hands or known, self.masks or MASK_CHOICES, depths):
             source, _, folder = hands.partition("=")
-            if hands == GIVEN_JOINTS and not view.has_joints:
+            if hands == TRUTH_JOINTS and not view.has_joints:
                 continue
             if folder:
                 if not files.is_portable_name(source):
                     raise UsageError(f"--hands NAME=DIR needs a name that can be a file's (got {source!r})")
                 files.inside(Path(folder), f"{view.name}.npz", "", "a hand file of each view")
-            elif source not in (FOUND_HANDS, GIVEN_JOINTS):
+            elif source not in (DRAFTED_HANDS, TRUTH_JOINTS):
                 raise UsageError(f"--hands must be found, joints or NAME=DIR (got {hands!r})")
-            if hands == GIVEN_JOINTS and self.side is None:
+            if hands == TRUTH_JOINTS and self.side is None:
                 raise UsageError(f"missing --side: {view.name} has joints, and does not say of which hand")
             name = f"{view.name}-{source}-{masks}-{depth}"
             file = Path(folder) / f"{view.name}.npz" if folder else None
@@ -262,15 +262,17 @@ def _images(root: Path, folder: str) -> tuple[Path, ...]:
 
 
 def _rows_of_images(source: Path, images: Collection[Path], names: list[str]) -> list[int]:
-    """Return the row of each image in the truth, by name or number. Raises ``InputError`` for one without truth."""
+    """Return the row of each image in the truth, by number. Raises ``InputError`` for one without truth."""
     from getagrip.clip.match_frames import number_of
 
-    place = {name if number_of(name) is None else number_of(name): row for row, name in enumerate(names)}
-    keys = [path.stem if number_of(path.stem) is None else number_of(path.stem) for path in images]
-    missing = next((path.name for path, key in zip(images, keys, strict=True) if key not in place), None)
+    place = {number_of(name): row for row, name in enumerate(names)}
+    place.pop(None, None)
+    missing = next((path.name for path in images if number_of(path.stem) not in place), None)
     if missing is not None:
-        raise InputError(source, "frames", f"no pose of {shorten_value(missing)}", "a pose of every image")
-    return [place[key] for key in keys]
+        raise InputError(
+            source, "frames", f"no pose of {shorten_value(missing)}", "a pose of every image, by its number"
+        )
+    return [place[number_of(path.stem)] for path in images]
 
 
 def _numbers(path: Path, key: str, value: object, shape: tuple[int, ...]) -> np.ndarray:
