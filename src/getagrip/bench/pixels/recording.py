@@ -123,10 +123,9 @@ class RecordingTrial(Trial[RecordingScores]):
     def _measured(self) -> Json:
         """Make the draft anew; return its errors."""
         run, view = self.made, self.made.view
-        if run.folder.exists():
-            files.refuse_link(run.folder)
-            shutil.rmtree(run.folder)
-        inputs = files.folder_inside(run.folder.parent, run.folder.name, "inputs")
+        out, *names = run.folder.parent.parent, run.folder.parent.name, run.folder.name
+        shutil.rmtree(files.folder_inside(out, *names))
+        inputs = files.folder_inside(out, *names, "inputs")
         scene = TrueScene(view, read_mesh(view.mesh))
         self.draft(draft_request(run, scene, inputs))
         (clip_file,) = (run.folder / "draft" / "clips").glob("*/clip.json")
