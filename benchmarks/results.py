@@ -1,8 +1,8 @@
 """Copy the tables of benchmarks into ``results/``, and numbers into pages: ``python -m benchmarks.results DIR...``.
 
 Each folder is one that was given to ``getagrip bench --out``. A table is named like the folder and its file:
-``out/dexycb/inputs.csv`` becomes ``results/dexycb-inputs.json``, and ``inputs-clips.csv``, its numbers by clip,
-``results/clips/dexycb-inputs.csv.gz``. A table of the test objects must be of a run that ``test_runs`` notes. Without
+``out/dexycb/inputs.csv`` becomes ``results/dexycb-inputs.json`` (``out/recording/recording.md``: ``recording.json``),
+and ``inputs-clips.csv``, its numbers by clip, ``results/clips/dexycb-inputs.csv.gz``. A table of the test objects must be of a run that ``test_runs`` notes. Without
 folders only README and pages are brought up to date.
 ``python -m benchmarks.release`` measures all tables of a release before.
 """
@@ -58,7 +58,8 @@ def found(folder: Path) -> dict[str, Table]:
     """Read the tables of a folder, by name. Raises ``FileNotFoundError`` without any."""
     tables: dict[str, Table] = {}
     for page in sorted(folder.glob("*.md")):
-        name = f"{folder.resolve().name}-{page.stem}"
+        own = folder.resolve().name
+        name = own if page.stem == own else f"{own}-{page.stem}"
         numbers = page.with_suffix(".csv")
         if not numbers.exists():
             tables[name] = printed(name, page)

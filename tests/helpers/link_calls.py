@@ -19,6 +19,7 @@ import trimesh
 
 from getagrip import cli
 from getagrip.bench.figures import FIGURES
+from getagrip.bench.pixels.recording import DraftRequest
 from getagrip.bench.sequences.segments import TIME_DIRECTIONS
 from getagrip.cli.datasets import DATASETS
 from getagrip.clip import Clip, Masks, Segment, input_sha256, read_clip, write_clip
@@ -36,6 +37,7 @@ from getagrip.timelines.detect.detect_segments import DetectedSegment, DetectedS
 from helpers.clips import small_clip
 from helpers.epic_files import box, hand, sparse, thing, write, write_mapping
 from helpers.labelled_scene import SceneNets, circle, joints, write_scene
+from helpers.recordings import write_recording
 from helpers.results import AHEAD, K, everything, true_result, write_inputs
 from helpers.scenes import SHORT, scene
 
@@ -94,6 +96,7 @@ CALLS: dict[str, Sequence[str]] = {
     "bench clips": [f"clips {BENCH} --json out.json", f"clips {BENCH} --ablation mask-noise"],
     "bench synthetic": [f"{BENCH} --clips 1"],
     **{f"bench {name}": [f"--root root {BENCH} --split all"] for name in BENCHED},
+    "bench recording": ["--root recording --hands found --out out --workers 1 --json out.json"],
     "bench dexycb-segments": ["--root root --out out --workers 1 --split all --json out.json"],
     "bench dexycb-timelines": ["--root root --out out --workers 1 --split all --preset exact"],
     "bench hot3d-timelines": ["--root root --out out --workers 1 --split all --preset exact --json out.json"],
@@ -137,6 +140,11 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
     def fitted(clip: Clip, masks: object, options: Options = Options(), *_: object, **__: object) -> Reconstruction:  # noqa: B008
         return replace(true_result(clip, None), options=asdict(options))
 
+    def drafted(request: DraftRequest) -> None:
+        clip, masks = small()
+        made = write_clip(clip, masks, request.out / "clips" / "grasp")
+        write_result(true_result(clip, None), request.out / "results" / "grasp", input_sha256(made), {}, made)
+
     def found(clip: Clip, *_: object, **__: object) -> DetectedSegments:
         return DetectedSegments((DetectedSegment(Segment("grasp", 0, len(clip) - 1, clip.side), 9.0),), ())
 
@@ -153,12 +161,13 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
         "compiling.compile_once": lambda *_: None,
         "cli._parse_command": lambda words: parsed(tuple(words)),
         "synthetic.scene_options.DEMO_SCENE_OPTIONS": SHORT,
+        "cli.calls.run_draft": drafted,
         "cli.doctor._smoke_test": lambda: None,
         "studio.hands.load_models": lambda _: SceneNets(),
         "synthetic.scene.synthesise": made,
         "bench.comparison.ABLATION_PLOT_METRICS": ("iou",),
-        "bench.segments._find_in_both_directions": lambda _: dict.fromkeys(TIME_DIRECTIONS, spans),
-        "bench.timelines._score_noise_level": lambda *_: {"category": "box", "by": by},
+        "bench.sequences.segments._find_in_both_directions": lambda _: dict.fromkeys(TIME_DIRECTIONS, spans),
+        "bench.sequences.timelines._score_noise_level": lambda *_: {"category": "box", "by": by},
         "timelines.detect.detect_segments.find_segments": found,
         "report.pages.viewer.ViewerServer.serve_forever": ended,
         "report.film._overlay_and_turned_frames": lambda _: iter(np.zeros((2, 576, 1080, 3), np.uint8)),
@@ -178,6 +187,8 @@ def write_link_inputs(folder: Path) -> Path:
     write_inputs(folder)
     (folder / "root").mkdir()
     (folder / "table.csv").touch()
+    clip = small()[0]
+    write_recording(folder / "recording", clip, [np.zeros((*clip.size[::-1], 3), np.uint8)] * len(clip))
     write_clip(*scene("can", 0, SHORT), folder / "held" / "can")
     _write_results(folder)
     _write_cup(folder)

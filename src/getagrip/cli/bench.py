@@ -15,16 +15,19 @@ from getagrip.batch.scheduling import Executors, SchedulingOptions
 from getagrip.bench.options import ComparisonOptions
 from getagrip.bench.sources.ho3d_sequences import Ho3dEval
 from getagrip.bench.sources.recorded import DexYcb, DexYcbSequences, DexYcbTimelines, Hot3dTimelines, TimelineSource
+from getagrip.bench.sources.recording import Recording
 from getagrip.bench.sources.rendered_videos import RenderedVideos
 from getagrip.bench.sources.source import ClipFolder, ClipSource
 from getagrip.bench.sources.synthetic_clips import SyntheticSource
 from getagrip.cli.command import Command
+from getagrip.errors import UsageError
 from getagrip.fitting.options import Options, SearchOptions
 from getagrip.io.options import Flag, Folder, OptionalFile
 
 if TYPE_CHECKING:
     from getagrip.bench.grasps import GraspBenchmark
     from getagrip.bench.job import Benchmark
+    from getagrip.bench.pixels.recording import RecordingBenchmark
     from getagrip.bench.pixels.videos import VideoBenchmark
     from getagrip.bench.sequences.segments import SegmentBenchmark
     from getagrip.bench.sequences.timelines import TimelineBenchmark
@@ -161,6 +164,19 @@ class BenchVideos(Bench[RenderedVideos]):
         return VideoBenchmark(self.source, self.options, self.oracle, run_call)
 
 
+@dataclass(frozen=True, kw_only=True)
+class BenchRecording(Bench[Recording]):
+    """Draft real images with known poses."""
+
+    def benchmark(self) -> RecordingBenchmark:
+        from getagrip.bench.pixels.recording import RecordingBenchmark
+        from getagrip.cli.calls import run_draft
+
+        if self.search != SearchOptions() or self.every_frame:
+            raise UsageError("bench recording takes no options of the search, nor --every-frame: drafts have their own")
+        return RecordingBenchmark(run_draft)
+
+
 BENCHES: tuple[tuple[object, type[ClipSource]], ...] = (
     (BenchGrasps[SyntheticSource], SyntheticSource),
     (BenchGrasps[DexYcb], DexYcb),
@@ -169,6 +185,7 @@ BENCHES: tuple[tuple[object, type[ClipSource]], ...] = (
     (BenchTimelines[DexYcbTimelines], DexYcbTimelines),
     (BenchTimelines[Hot3dTimelines], Hot3dTimelines),
     (BenchVideos, RenderedVideos),
+    (BenchRecording, Recording),
     (BenchGrasps[ClipFolder], ClipFolder),
 )
 """The subcommands: benchmark, and the source whose fields are options."""

@@ -15,6 +15,7 @@ from getagrip.cli.command import Command, print_error
 from getagrip.errors import GetagripError
 
 if TYPE_CHECKING:
+    from getagrip.bench.pixels.recording import DraftRequest
     from getagrip.studio.jobs import CommandCall
 
 
@@ -58,3 +59,21 @@ def command_of_call(call: CommandCall) -> Command:
         batch = BatchOptions(threads=THREADS_PER_CLIP, overwrite=True)
         return Reconstruct(clips=(call.clip,), out=call.out, batch=batch)
     return Report(paths=(call.result,))
+
+
+def run_draft(request: DraftRequest) -> None:
+    """Make a draft without its page in this process. Raises ``GetagripError`` with its output where it fails."""
+    from getagrip.cli.draft import Draft
+    from getagrip.geometry.lens import Lens
+
+    command = Draft(
+        video=request.video, object=str(request.object), size_mm=request.size_mm, lens=Lens(K=request.K),
+        object_box=request.object_box, masks=None if request.masks is None else str(request.masks),
+        hands=None if request.hands is None else str(request.hands), depth=request.depth, depth_from=request.depth_from,
+        models=request.models, out=request.out, no_page=True,
+    )  # fmt: skip
+    out = StringIO()
+    with redirect_stdout(out), redirect_stderr(out):
+        status = command.run_checked()
+    if status:
+        raise GetagripError(out.getvalue().strip().splitlines()[-1] if out.getvalue().strip() else "the draft failed")
