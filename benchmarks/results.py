@@ -2,8 +2,8 @@
 
 Each folder is one that was given to ``getagrip bench --out``. A table is named like the folder and its file:
 ``out/dexycb/inputs.csv`` becomes ``results/dexycb-inputs.json`` (``out/recording/recording.md``: ``recording.json``),
-and ``inputs-clips.csv``, its numbers by clip, ``results/clips/dexycb-inputs.csv.gz``. A table of the test objects must be of a run that ``test_runs`` notes. Without
-folders only README and pages are brought up to date.
+and ``inputs-clips.csv``, its numbers by clip, ``results/clips/dexycb-inputs.csv.gz``. A table of the test objects must
+be of a run that ``test_runs`` notes. Without folders only README and pages are brought up to date.
 ``python -m benchmarks.release`` measures all tables of a release before.
 """
 

@@ -82,16 +82,14 @@ def test_a_failure_counts_as_wrong_in_the_tables() -> None:
     ]
     page = benchmark.page(scores)
     assert page is not None
-    lines = [line.strip("| ").split(" | ") for line in page.texts[".md"].splitlines() if line.startswith("|")]
-    stages, oracles = lines[:3:2], [lines[3], *lines[5:]]
-    of = dict(zip(*stages, strict=True))
-    assert [of[key] for key in ("videos", "hand found, %", "right kept, %", "right first, %")] == [
-        "2",
-        "100",
-        "100",
-        "50",
-    ]
-    rows = [dict(zip(oracles[0], row, strict=True)) for row in oracles[1:]]
+    stages, oracles = (
+        [line.strip("| ").split(" | ") for line in page.texts[name].splitlines() if line.startswith("|")]
+        for name in ("stages.md", "oracles.md")
+    )
+    of = dict(zip(stages[0], stages[2], strict=True))
+    columns = "videos", "hand found, %", "right kept, %", "right first, %"
+    assert [of[key] for key in columns] == ["2", "100", "100", "50"]
+    rows = [dict(zip(oracles[0], row, strict=True)) for row in oracles[2:]]
     assert [(row["truth in place of"], row["no result"], row["right, %"]) for row in rows] == [
         ("nothing", "0", "50"), ("masks", "2", "0"),
     ]  # fmt: skip

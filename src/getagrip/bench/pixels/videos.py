@@ -21,7 +21,7 @@ from getagrip.errors import InputError, unknown_choice_error
 from getagrip.fitting.options import Options
 from getagrip.io.files import Json
 from getagrip.io.plugins import date_and_commit
-from getagrip.io.terminal import markdown_page, markdown_table, print_note
+from getagrip.io.terminal import markdown_page, print_note
 from getagrip.studio.hands.networks import Nets, load_models
 from getagrip.studio.jobs import RunCall
 from getagrip.synthetic.filmed import (
@@ -165,10 +165,12 @@ class VideoBenchmark(Benchmark[VideoScores]):
             "its score",
             f"made {date_and_commit()}",
         ]
-        text = markdown_page("Drafts of rendered videos", oracles, about, words=2)
-        text = text.replace("\n| split", "\n" + "\n".join(markdown_table(stages)) + "\n\n| split", 1)
+        texts = {
+            "stages.md": markdown_page("Stages of rendered videos", stages, about),
+            "oracles.md": markdown_page("Rendered videos with the truth in place of a stage", oracles, about, 2),
+        }
         content = {one.name: {"split": one.split, "stages": one.stages, "by": one.by} for one in done}
-        return BenchmarkPage("video", text, {".md": text}, {}, content)
+        return BenchmarkPage("", "\n".join(texts.values()), texts, {}, content)
 
 
 def _median(values: Sequence[float | None], form: str = ".0f") -> str:

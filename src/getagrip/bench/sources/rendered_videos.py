@@ -45,4 +45,6 @@ class RenderedVideos(ClipSource):
     def samples(
         self, clips: Path, debug: bool, share: SchedulingOptions | None = None
     ) -> tuple[list[Sample], list[Outcome]]:
-        return [Sample(clip.name, clips / clip.name) for clip in self.filmed()], []
+        found = [Sample(clip.name, clips / clip.name) for clip in self.filmed()]
+        self.claim(clips)
+        return found, []
