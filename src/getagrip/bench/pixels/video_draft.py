@@ -78,7 +78,7 @@ class Oracle:
         masks: the masks of object and hand in all frames, the first one included.
         hand_size: the hand's size, and with it its distance: the lifted hand is scaled about the camera.
         depth: nothing; a sensor's depth images are added.
-        mesh: the object's mesh, with its size, in place of its kind's.
+        mesh: the object's mesh, with its size, in place of a built-in shape.
     """
 
     hands: bool = False
