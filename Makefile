@@ -55,7 +55,8 @@ MINUTES ?= 5
 fuzz: $(VENV)/warm
 	PYTHONPATH=tests $(BIN)/python -m fuzz --minutes $(MINUTES)
 
-# Anew each time, since commands and docstrings are in it. A link that leads nowhere is an error.
+# Anew each time, since commands and docstrings are in it. A link that leads nowhere is an error. GETAGRIP_SITE is the
+# address that the site will have, if known: pages name it as theirs, and the wheel links there.
 docs: $(VENV)/installed
 	rm -rf site
 	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going -b html -d $(VENV)/doctrees --fresh-env docs site

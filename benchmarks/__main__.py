@@ -13,6 +13,7 @@ SECTIONS = {
     "cold-start": cold_start.tables,
     "two-threads": reconstruct_speed.two_threads,
     "scaling": scaling.tables,
+    "scaling-pixels": scaling.pixels,
     "segment-speed": segment_speed.tables,
     "batch": batch.tables,
     "draft-masks": drafts.masks,

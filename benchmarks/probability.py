@@ -54,7 +54,8 @@ if TYPE_CHECKING:
 METHOD = Options().method
 COMMAND = "python -m benchmarks.probability OUT DEXYCB OTHER YCB ARCTIC"
 NUMBERS = re.compile(r'\[[-\d.e,\s]*\]|\{\s*"\d[^{}]*\}')
-SECTION, PICTURE = "probability", "reliability.png"
+SECTION, PICTURE, DRAWN_BINS = "probability", "reliability.png", 5
+"""Name of the section and of the picture, and the number of its bins: ten hold a handful of results each below 0.8."""
 KEPT = 0.95
 """Share of right results at which the table keeps."""
 HEADER = (
@@ -334,12 +335,18 @@ def draw(held: Mapping[Where, Judged], path: Path) -> None:
 def _diagram(upper: Axes, lower: Axes, held: Judged) -> None:
     """Draw the diagram of one frame."""
     upper.plot([0, 1], [0, 1], color="0.7", linewidth=1, label="perfect")
-    for label, some in ((name, held.only(condition=name)) for name in ALWAYS):
-        found = bins(some.probability, some.results.right)
+    for label, below in zip(ALWAYS, (-3, -11, -19), strict=True):
+        some = held.only(condition=label)
+        found = bins(some.probability, some.results.right, DRAWN_BINS)
         x, y, n = np.array([(b.probability, b.right, b.count) for b in found]).T
         spread = 1.96 * np.sqrt(np.maximum(x * (1.0 - x), 0.25 / n) / n)
         bars = np.array([np.minimum(spread, y), np.minimum(spread, 1.0 - y)])
-        upper.errorbar(x, y, bars, fmt="o-", markersize=4, linewidth=1, capsize=2, label=f"{label}, {int(n.sum())}")
+        line = upper.errorbar(x, y, bars, fmt="o-", markersize=4, linewidth=1, capsize=2, label=label).lines[0]
+        for one in found:
+            upper.annotate(
+                f"{one.count}", (one.probability, one.right), (6, below), textcoords="offset points",
+                fontsize=7, color=line.get_color(),
+            )  # fmt: skip
     upper.set(xlim=(0, 1), ylim=(0, 1.02))
     p, right = held.probability, held.results.right
     lower.hist(

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -86,8 +86,7 @@ def _fresh(clip: Clip, masks: Masks) -> Table:
         folder = write_clip(clip, masks, Path(scratch) / "clip")
         environment = os.environ | {"NUMBA_CACHE_DIR": str(Path(scratch) / "cache")}
         for name in ("kernels compiled", "kernels from the cache"):
-            timing, (output,) = timed(lambda: _child(folder, environment))
-            measured = json.loads(output)
+            timing, (measured,) = timed(lambda: in_fresh_process(folder, environment))
             seconds = [timing.wall[0], *(measured[key] for key in ("imports", "read", "first", "second"))]
             memory = [measured[key] for key in ("memory imports", "memory read", "memory")]
             rows.append([name, *(f"{s:.2f}" for s in seconds), *(f"{m:.0f}" for m in memory)])
@@ -96,9 +95,11 @@ def _fresh(clip: Clip, masks: Masks) -> Table:
     return of_cells("A fresh process", header, rows, [f"on {clip.name}"])
 
 
-def _child(folder: Path, environment: dict[str, str]) -> str:
+def in_fresh_process(folder: Path, environment: Mapping[str, str] = os.environ) -> dict[str, float]:
+    """Measure a clip's reconstruction in a new process (``benchmarks.fresh``)."""
     command = [sys.executable, "-m", "benchmarks.fresh", str(folder)]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    found = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    return dict(json.loads(found))
 
 
 def two_threads() -> dict[str, Table]:

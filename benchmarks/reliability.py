@@ -88,10 +88,10 @@ def auroc_interval(
     return float(low), float(high)
 
 
-def bins(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"]) -> list[Bin]:
-    """Group the results by probability; empty bins are left out."""
-    number = np.minimum((probability * BINS).astype(int), BINS - 1)
-    of_bin = [number == k for k in range(BINS)]
+def bins(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"], count: int = BINS) -> list[Bin]:
+    """Group the results by probability into bins of equal width; empty bins are left out."""
+    number = np.minimum((probability * count).astype(int), count - 1)
+    of_bin = [number == k for k in range(count)]
     return [Bin(float(probability[b].mean()), float(right[b].mean()), int(b.sum())) for b in of_bin if b.any()]
 
 

@@ -1,15 +1,18 @@
-"""Growth of a reconstruction's cost with the number of frames, initial poses and faces."""
+"""Growth of a reconstruction's cost with the number of frames, initial poses and faces, and with the images' size."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from benchmarks.reconstruct_speed import reconstruction
+from benchmarks.reconstruct_speed import in_fresh_process, reconstruction
 from benchmarks.store import Table, of_cells, slug
 from benchmarks.timing import timed, typical
+from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.fitting.options import Options
 from getagrip.geometry.mesh import Mesh, decimate, edge_length, subdivide_surface
 from getagrip.result import Reconstruction
@@ -20,6 +23,7 @@ CATEGORY = "kettle"
 FRAMES = (10, 20, 30, 50, 100, 200, 300)
 INITIAL_POSES = (10, 20, 50, 100, 200, 400)
 FACES = (200, 500, 1000, 2000, 5000, 10_000, 20_000)
+IMAGE_SIZES = (640, 480), (1920, 1080), (3840, 2160)
 REPEATS = 3
 
 
@@ -36,6 +40,26 @@ def tables() -> dict[str, Table]:
         ("faces", FACES, lambda n: reconstruction(replace(clip, mesh=decimate(fine, n)), masks)),
     )
     return {f"scaling-{slug(curve[0])}": _measure(*curve) for curve in curves}
+
+
+def pixels() -> dict[str, Table]:
+    """Measure reading and reconstruction of one scene in images of several sizes, and the memory of a new process."""
+    rows, first = [], 0.0
+    with TemporaryDirectory() as scratch:
+        for width, height in IMAGE_SIZES:
+            scene = SceneOptions(size=(width, height), focal=SceneOptions.focal * height / SceneOptions.size[1])
+            folder = write_clip(*synthesise(CATEGORY, 0, scene), Path(scratch) / f"{width}x{height}")
+            least, masks = [], read_masks(read_clip(folder))
+            for call in (lambda at=folder: read_masks(read_clip(at)), reconstruction(read_clip(folder), masks)):
+                call()
+                least.append(min(timed(call, REPEATS)[0].cpu))
+            first = first or sum(least)
+            memory = in_fresh_process(folder)["memory"]
+            milliseconds = [f"{1e3 * part:.0f}" for part in least]
+            rows.append([f"{width} x {height}", *milliseconds, f"{sum(least) / first:.2f}", f"{memory:.0f}"])
+    header = ["images", "reading, CPU ms", "reconstruction, CPU ms", "both, to the first", "memory, MB"]
+    how = ["memory: the peak of a new process, imports included"]
+    return {"scaling-pixels": of_cells("Cost by size of the images", header, rows, how)}
 
 
 def _measure(name: str, sizes: tuple[int, ...], call_at: Callable[[int], Callable[[], Reconstruction]]) -> Table:

@@ -19,6 +19,7 @@ import explorer  # noqa: E402
 import reference  # noqa: E402
 
 import getagrip  # noqa: E402
+import hatch_build  # noqa: E402
 
 project = "getagrip"
 copyright = "the authors of getagrip, MIT licence"
@@ -38,6 +39,7 @@ python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 90
 add_module_names = False
 
+html_baseurl = hatch_build.site()  # links within the site are relative, with or without it
 html_theme = "furo"
 html_title = f"getagrip {version}"
 html_static_path = ["_static"]

@@ -20,7 +20,7 @@ clip, masks = getagrip.synthesise("mug", seed=0)
 # The search starts from 50 rotations by default. The same seed gives the same result.
 options = getagrip.Options(method="soft-hinge", inits=50, seed=0)
 result = getagrip.reconstruct(clip, masks, options, progress=lambda stage, done: print(f"{done:4.0%}  {stage}"))
-print(f"{result.status.value}; mask IOU {result.iou.mean():.3f}; {result.seconds['total']:.1f} s")
+print(f"{result.message}; mask IOU {result.iou.mean():.3f}; {result.seconds['total']:.1f} s")
 if result.ambiguous:
     print("another pose explains the masks almost as well; see result.candidates")
 

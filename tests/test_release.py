@@ -59,6 +59,24 @@ def test_readme_has_no_link_that_leads_nowhere_where_the_repository_is_not_known
     assert "All results, also those of ten objects never seen" in text
 
 
+def test_pages_are_linked_on_the_site_where_it_has_an_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("GETAGRIP_SITE", raising=False)
+    assert hook().site() == ""
+    for wrong in ("getagrip.example.org", "https://example.org/a b"):
+        monkeypatch.setenv("GETAGRIP_SITE", wrong)
+        with pytest.raises(ValueError, match="GETAGRIP_SITE"):
+            hook().site()
+    monkeypatch.setenv("GETAGRIP_SITE", "https://docs.example.org/getagrip/")
+    pages = hook().site()
+    assert hook().addresses("", pages) == {"Documentation": f"{pages}/", "Paper": hook().PAPER}
+    for home in (HOME, ""):
+        found = targets(hook().for_index(README, home, "v0.1.0", pages))
+        for target in targets(README):
+            if match := re.fullmatch(r"docs/([\w-]+)\.md(#.*)?", target):
+                assert f"{pages}/{match[1]}.html{match[2] or ''}" in found
+        assert not any("/docs/" in target and ".md" in target for target in found)
+
+
 def test_the_repository_is_that_of_the_continuous_integration(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("GETAGRIP_REPOSITORY", "GITHUB_REPOSITORY", "GITHUB_SERVER_URL"):
         monkeypatch.delenv(name, raising=False)

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -97,22 +98,37 @@ def real_dataset(names: Names) -> list[ndarray]:
 
 def own_energy_term(names: Names) -> list[ndarray]:
     clip, masks = names["clip"], names["masks"]
-    usual = getagrip.reconstruct(clip, masks)
-    return [overlay(one, clip, masks, 15, from_side=True) for one in (usual, names["result"])]
+    results = {"without": getagrip.reconstruct(clip, masks), "with it": names["result"]}
+    true = clip.truth.T_cam_obj[:, :3, 2]
+    off = {
+        name: np.degrees(np.arccos(np.clip(np.sum(one.T_cam_obj[:, :3, 2] * true, axis=1), -1.0, 1.0)))
+        for name, one in results.items()
+    }
+    return [overlay(names["result"], clip, masks, 15, from_side=True), curves("axis off, deg", off)]
+
+
+def curves(title: str, lines: dict[str, ndarray]) -> ndarray:
+    """Curves over the frames, from 0 to the largest value of all, each named beside its last point."""
+    shown = np.full((SIDE, SIDE, 3), 250, dtype=np.uint8)
+    left, right, top, bottom = 30, SIDE - 12, 46, SIDE - 24
+    most = np.ceil(max(values.max() for values in lines.values()))
+    label = partial(cv2.putText, shown, fontFace=cv2.FONT_HERSHEY_SIMPLEX, thickness=1, lineType=cv2.LINE_AA)
+    label(text=title, org=(left, 22), fontScale=0.5, color=(60, 60, 60))
+    label(text=f"{most:.0f}", org=(8, top + 5), fontScale=0.4, color=(60, 60, 60))
+    label(text="0", org=(8, bottom + 4), fontScale=0.4, color=(60, 60, 60))
+    cv2.polylines(shown, [np.array([[left, top], [left, bottom], [right, bottom]])], False, (190, 190, 190), 1)
+    for (name, values), colour in zip(lines.items(), (ORANGE, BLUE), strict=True):
+        x, y = np.linspace(left, right, len(values)), bottom - values / most * (bottom - top)
+        cv2.polylines(shown, [np.stack([x, y], axis=1).round().astype(np.int32)], False, colour, 2, cv2.LINE_AA)
+        label(text=name, org=(right - 66, int(y[-8:].min()) - 8), fontScale=0.45, color=colour)
+    return shown
 
 
 def own_method(names: Names) -> list[ndarray]:
     folders = {path.parent.parent.name: path.parent for path in sorted(names["out"].rglob("result.npz"), reverse=True)}
     results = [getagrip.read_result(folders[name])[0] for name in ("soft-hinge", "coarse-static")]
-    clip, masks = bench_clip(results[0].clip)
-    worst = int(np.argmin(results[1].iou))
-    return [overlay(result, clip, masks.take(clip.index_of(result.frames)), worst) for result in results]
-
-
-def bench_clip(name: str) -> tuple[Any, Any]:
-    """A synthetic clip by its name, category-side-seed."""
-    category, _, seed = name.rsplit("-", 2)
-    return getagrip.synthesise(category, int(seed))
+    clip, worst = getagrip.read_clip(names["out"] / "clips" / results[0].clip), int(np.argmin(results[1].iou))
+    return [overlay(result, clip, getagrip.read_masks(clip), worst) for result in results]
 
 
 def batch(names: Names) -> list[ndarray]:

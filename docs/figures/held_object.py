@@ -1,7 +1,6 @@
 """The picture of docs/tape.md: python docs/figures/held_object.py CLIP RESULT tape
 
-A clip and its result: masks, hand and mesh, but no pixel of the footage. The commands of that page make both; that of
-docs/kitchen.md (kitchen-plate) was made likewise, without the view from the side.
+A clip and its result: masks, hand and mesh, but no pixel of the footage. The commands of that page make both.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Make docs/images/timeline.webp: a synthetic mug from the table into the hand and back, as ``reconstruct`` finds it.
+"""Make docs/images/timeline.webp: a rendered mug from the table into the hand and back, as ``reconstruct`` finds it.
 
     python docs/figures/timeline_film.py OUT
 
 OUT gets the clip, the result and its film as ``getagrip report RESULT --mp4`` writes it, from which the picture is
-made. Hands are off by the assumed noise, masks are exact.
+made. Hands and masks are exact.
 """
 
 from __future__ import annotations
@@ -19,28 +19,29 @@ from jaxtyping import Float
 from numpy import ndarray
 from PIL import Image
 
-from getagrip.clip import Clip, FrameMasks, HandTrack, Masks, Segment, Truth, World, read_clip, read_masks, write_clip
+from getagrip.clip import Clip, HandTrack, Masks, Segment, Truth, World, read_clip, read_masks, write_clip
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
-from getagrip.geometry.rasterize import render_rgb, true_masks
 from getagrip.hands import generic
 from getagrip.reconstruct import reconstruct
 from getagrip.report.film import write_film
 from getagrip.report.pictures.result_view import View
 from getagrip.result import write_result
-from getagrip.synthetic.noise import NOISE_PRESETS, perturbed
-from getagrip.synthetic.scene import make_scene
+from getagrip.synthetic.scene import ground_truth_masks, make_scene
 from getagrip.synthetic.scene_options import SceneOptions
+from getagrip.synthetic.video import at_video_size, render_video
 
 PICTURE = Path(__file__).resolve().parents[1] / "images" / "timeline.webp"
 WIDTH, QUALITY = 720, 60
 """Of the picture: its width [px], and WebP's quality."""
+SEED, LOOK, SIZE = 1, 4, (960, 720)
+"""Seeds of a grasp whose forearm stays above the table, and of the colours; size of the rendered images [px]."""
 LIES, COMES, HELD, LEAVES, LEFT = 18, 8, 50, 8, 14
 """Frames: the object lies, the hand closes about it, holds it, lets it go, and leaves it."""
 COUNT = LIES + COMES + HELD + LEAVES + LEFT
 BACK = 0.16
 """The hand comes from so far back [m]."""
-LIFTED, ASIDE, TILTED = 0.16, np.array([0.14, -0.06, 0.0]), np.radians(35.0)
+LIFTED, ASIDE, TILTED = 0.16, np.array([0.08, -0.06, 0.0]), np.radians(35.0)
 
 
 def ease(t: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
@@ -56,12 +57,12 @@ def on_table(T_hand_obj: Float[ndarray, "4 4"], T_world_obj: Float[ndarray, "4 4
 
 def timeline() -> tuple[Clip, Masks, list[ndarray]]:
     """A clip with its masks and images; the world's z is up, the table at 0."""
-    scene = make_scene("mug", 2, SceneOptions(frames=HELD, turn_deg=(20.0, 30.0)))
+    scene = make_scene("mug", SEED, SceneOptions(frames=HELD, turn_deg=(20.0, 30.0)))
     grasp, truth, mesh = scene.clip, scene.clip.truth, scene.object
     assert truth is not None
     T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
-    lies = se3.rigid(se3.exp_so3(np.array([0.0, 0.0, 0.6])), np.array([0.0, 0.0, -mesh.vertices[:, 2].min()]))
-    left = se3.rigid(se3.exp_so3(np.array([0.0, 0.0, 0.9])), ASIDE - [0.0, 0.0, mesh.vertices[:, 2].min()])
+    lies = se3.rigid(se3.exp_so3(np.array([0.0, 0.0, 2.5])), np.array([0.0, 0.0, -mesh.vertices[:, 2].min()]))
+    left = se3.rigid(se3.exp_so3(np.array([0.0, 0.0, 2.8])), ASIDE - [0.0, 0.0, mesh.vertices[:, 2].min()])
     start, end = on_table(T_hand_obj[0], lies), on_table(T_hand_obj[-1], left)
     share = ease(np.linspace(0.0, 1.0, HELD))[:, None]
     bump = np.sin(np.pi * np.linspace(0.0, 1.0, HELD))[:, None] ** 2
@@ -103,7 +104,8 @@ def timeline() -> tuple[Clip, Masks, list[ndarray]]:
         truth=Truth(T_cam_world @ T_world_obj, 1.0, hand.T_cam_hand, vertices),
         provenance={"source": "synthetic, by getagrip: docs/figures/timeline_film.py"},
     )  # fmt: skip
-    return clip, *rendered(clip)
+    scene = at_video_size(replace(scene, clip=clip), SIZE)
+    return scene.clip, ground_truth_masks(scene), list(render_video(scene, SIZE, LOOK))
 
 
 def backed(
@@ -127,26 +129,11 @@ def head() -> Float[ndarray, "T 4 4"]:
     return np.asarray(se3.rigid(R, at))
 
 
-def rendered(clip: Clip) -> tuple[Masks, list[ndarray]]:
-    """Masks and images of what truly happens."""
-    masks, images = [], []
-    truth = clip.truth
-    assert truth is not None
-    for n in range(len(clip)):
-        held = se3.transform(truth.T_cam_obj[n], clip.mesh.vertices), clip.mesh.faces
-        hand = se3.transform(truth.T_cam_hand[n], truth.hand_vertices[n]), clip.hand.faces
-        masks.append(FrameMasks(*true_masks(held, [hand], [], clip.K[n], clip.size)))
-        colours = [(*held, (0.47, 0.60, 0.68)), (*hand, (0.86, 0.68, 0.58))]
-        images.append(render_rgb(colours, clip.K[n], clip.size, (0.86, 0.84, 0.80)))
-    return Masks.of(masks), images
-
-
 def main(out: Path) -> None:
     clip, masks, images = timeline()
-    noisy, masks = perturbed(clip, masks, replace(NOISE_PRESETS["moderate"], mask_ragged_px=0.0), 0)
     folder = out / "clips" / clip.name
     if not folder.exists():
-        write_clip(noisy, masks, folder, images)
+        write_clip(clip, masks, folder, images)
     given = read_clip(folder)
     result = reconstruct(given, read_masks(given), Options())
     if not (out / clip.name).exists():

@@ -111,7 +111,7 @@ def reconstruct(
         check_clip(clip)
         if masks is not None:
             check_masks(clip, masks)
-            clip = with_masks(clip, masks)
+            clip = with_masks(clip, masks.in_bits)
         clip = with_hand_size(clip, options)
         compile_once(lambda: on_stage and on_stage(COMPILATION_MESSAGE, 0.0))
         kind: type[Pipeline] = Timeline if clip.segments else StableGrasp

@@ -21,7 +21,7 @@ from getagrip.clip import read_clip, with_evidence
 from getagrip.clip.depth import DEPTH_KEY
 from getagrip.clip.read_arrays import read_hand
 from getagrip.fitting.options import Options
-from getagrip.io.images import read_png
+from getagrip.io.images import read_mask
 from getagrip.studio.hands.detect_hands import find_jumps, is_cut
 from getagrip.studio.jobs import CommandCall
 from getagrip.studio.store.mark_store import Store
@@ -116,7 +116,7 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
     assert "--object-box: 31 % of it is empty at the right: is a part of the object missing?" in err
     assert f"depth images of the earlier {made / 'clips' / name} are left out" in out.replace("out/", f"{made}/")
     for n in range(1, 8):
-        mask = read_png(masks / f"{n + 1:06d}.png", (WIDTH, HEIGHT))
+        mask = read_mask(masks / f"{n + 1:06d}.png", (WIDTH, HEIGHT)).unpacked
         x, y = middle(n).astype(int)
         assert mask[y, x] == 1
         assert mask[5, 5] == 0

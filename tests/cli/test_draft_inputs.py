@@ -18,7 +18,7 @@ from getagrip.cli.calls import run_call
 from getagrip.cli.import_hands import HandFile
 from getagrip.clip import Clip
 from getagrip.clip.read_arrays import read_hand
-from getagrip.io.images import read_png, write_mask
+from getagrip.io.images import read_mask, write_mask
 from getagrip.studio.jobs import CommandCall, NewClipCall
 from getagrip.studio.store.mark_store import Store
 from helpers.environment import Run
@@ -57,7 +57,7 @@ def script(folder: Path, body: str, name: str, monkeypatch: pytest.MonkeyPatch) 
 
 def mark(out: Path, n: int) -> np.ndarray:
     (masks,) = out.glob("draft-*/masks")
-    return np.asarray(read_png(masks / f"{n + 1:06d}.png", (WIDTH, HEIGHT)))
+    return np.asarray(read_mask(masks / f"{n + 1:06d}.png", (WIDTH, HEIGHT)).unpacked)
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip.clip import Clip, FrameMasks, Masks, read_clip, read_masks, with_masks, write_clip
+from getagrip.clip import Clip, Masks, read_clip, read_masks, with_masks, write_clip
 from getagrip.errors import InputError
+from getagrip.fitting.evidence import silhouettes
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem, prepare_problem
 from getagrip.provenance import assumed
@@ -67,14 +67,14 @@ def test_no_more_masks_are_in_memory_than_are_used(tmp_path: Path, monkeypatch: 
     clip = written(tmp_path / "small", [4], [])
     kept: list[int] = []
 
-    packed = Masks.packed
+    read = silhouettes.read_object_masks
 
-    def counted(frames: Iterable[FrameMasks], size: tuple[int, int]) -> Masks:
-        masks = packed(frames, size)
+    def counted(clip: Clip) -> Masks:
+        masks = read(clip)
         kept.append(len(masks.object))
         return masks
 
-    monkeypatch.setattr(Masks, "packed", staticmethod(counted))
+    monkeypatch.setattr(silhouettes, "read_object_masks", counted)
     problem = prepare_problem(clip, Options(frames=3))
     assert kept == [3]
     assert problem.clip.frames == ("0000", "0005", "0008")

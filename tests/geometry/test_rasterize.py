@@ -11,6 +11,8 @@ from getagrip.geometry.rasterize import (
     MIN_ZBUFFER_DEPTH_M,
     depth_and_face,
     interpolate_vertex_values,
+    render_coverage,
+    render_packed,
     render_rgb,
     true_masks,
 )
@@ -147,3 +149,15 @@ def test_pictures_show_mesh_and_background(background):
     assert picture[18, 24, 0] > 80
     np.testing.assert_array_equal(picture[0, 0], empty[0, 0])
     assert np.count_nonzero((picture != empty).any(axis=-1)) >= 0.95 * np.count_nonzero(outline)
+
+
+@given(seed=st.integers(0, 10**6), near=st.booleans())
+def test_a_packed_rendering_is_the_rendering(seed: int, near: bool) -> None:
+    rng = np.random.default_rng(seed)
+    vertices = rng.normal(size=(12, 3)) * rng.uniform(0.01, 0.4) + rng.uniform([-1.0, -0.8, 0.4], [1.0, 0.8, 1.5])
+    if not near:
+        vertices[:, 2] = np.maximum(vertices[:, 2], 0.1)
+    faces = rng.integers(0, 12, (9, 3))
+    mask = render_coverage(vertices, faces, K, SIZE)
+    np.testing.assert_array_equal(mask, depth_and_face(vertices, faces, K, SIZE)[1] >= 0)
+    np.testing.assert_array_equal(render_packed(vertices, faces, K, SIZE).unpacked, mask)

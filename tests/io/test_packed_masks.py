@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import pickle
 import tracemalloc
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 from numpy import ndarray
 
 from getagrip.clip import Masks, read_clip, read_masks, write_clip
 from getagrip.clip.clip import FrameMasks
-from getagrip.io.images import PackedMasks
+from getagrip.geometry.camera import bounding_boxes
+from getagrip.io.images import PackedMask, PackedMasks, pack_masks
 from helpers.clips import small_clip
 
 DENSE = np.random.default_rng(0).random((5, 7, 19)) < 0.2
@@ -44,6 +50,62 @@ def test_operators_give_arrays() -> None:
     for made, true in ((PACKED & turned, DENSE & turned), (~PACKED, ~DENSE), (DENSE | PACKED[::-1], DENSE | turned)):
         assert isinstance(made, ndarray)
         np.testing.assert_array_equal(made, true)
+
+
+@st.composite
+def any_masks(draw: st.DrawFn) -> ndarray:
+    """Draw a mask: empty, full, of a box that may touch the border, or of any pixels."""
+    height, width = draw(st.integers(1, 14)), draw(st.integers(1, 40))
+    mask = np.zeros((height, width), dtype=bool)
+    (top, bottom), (left, right) = (sorted(draw(st.integers(0, side)) for _ in "ab") for side in (height, width))
+    fill = draw(st.sampled_from([0.0, 0.2, 1.0]))
+    box = mask[top:bottom, left:right]
+    box[:] = np.random.default_rng(draw(st.integers(0, 99))).random(box.shape) < fill
+    return mask | draw(st.sampled_from([False, False, False, True]))
+
+
+@given(mask=any_masks(), data=st.data())
+def test_a_packed_mask_is_the_array(mask: ndarray, data: st.DataObject) -> None:
+    packed, (height, width) = PackedMask.of(mask), mask.shape
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    box = (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1) if mask.any() else (0, 0, 0, 0)
+    assert (packed.box, packed.area, packed.is_full) == (box, mask.sum(), mask.all())
+    np.testing.assert_array_equal(packed.unpacked, mask)
+    np.testing.assert_array_equal(PackedMask.of_bits(np.packbits(mask, axis=1), width).unpacked, mask)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(packed)).unpacked, mask)
+    np.testing.assert_array_equal(PackedMask.full(mask.shape).unpacked, np.ones_like(mask))
+    np.testing.assert_array_equal(PackedMask.empty(mask.shape).unpacked, np.zeros_like(mask))
+
+    around = np.pad(mask, 9)  # a part may leave the image
+    (top, bottom), (left, right) = (
+        sorted(data.draw(st.integers(-9, side + 9)) for _ in "ab") for side in (height, width)
+    )
+    expected = around[top + 9 : bottom + 9, left + 9 : right + 9]
+    np.testing.assert_array_equal(packed.part((left, top, right, bottom)), expected)
+    at = [np.sort(data.draw(hnp.arrays(int, 5, elements=st.integers(-9, side + 8)))) for side in (height, width)]
+    np.testing.assert_array_equal(packed.grid(*at), around[at[0][:, None] + 9, at[1] + 9])
+    np.testing.assert_array_equal(packed.at(at[0][::-1], at[1]), around[at[0][::-1] + 9, at[1] + 9])
+
+    grown = cv2.dilate(mask.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool)
+    np.testing.assert_array_equal(packed.grown.unpacked, grown)
+
+
+@given(mask=any_masks(), seed=st.integers(0, 99), fill=st.sampled_from([0.0, 0.5, 1.0]))
+def test_two_masks_are_compared_as_arrays(mask: ndarray, seed: int, fill: float) -> None:
+    other = np.random.default_rng(seed).random(mask.shape) < fill
+    one, two = PackedMask.of(mask), PackedMask.of(other)
+    assert one.exceeds(two) == (mask & ~other).any()
+    assert one.box_with(two) == PackedMask.of(mask | other).box
+
+
+def test_masks_of_workers_stay_packed() -> None:
+    back = pickle.loads(pickle.dumps(PACKED))
+    assert isinstance(back, PackedMasks)
+    np.testing.assert_array_equal(back, DENSE)
+    np.testing.assert_array_equal(back.boxes, bounding_boxes(DENSE))
+    np.testing.assert_array_equal(back.areas, DENSE.sum(axis=(1, 2)))
+    assert pack_masks(back) is back
+    np.testing.assert_array_equal(pack_masks(DENSE), DENSE)
 
 
 def test_a_frame_cannot_be_written_to() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from numpy import ndarray
 
 from getagrip.cli import main
+from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import read_mesh
 from getagrip.geometry.rasterize import render_coverage
 from getagrip.synthetic.scene import Scene, ground_truth_masks, make_scene
@@ -52,6 +54,16 @@ def test_the_object_is_where_the_truth_has_it(scene: Scene, pictures: list[ndarr
         assert painted[mask].mean() > 0.65  # stripes and the handle's shade are neither
         free = ~render_coverage(bodies.vertices(float(n)), bodies.faces, scene.clip.K[n], SIZE)
         assert painted[free].mean() < 0.15
+
+
+def test_the_table_is_the_support_where_the_clip_states_one(scene: Scene) -> None:
+    """So that an object that lies on it touches its shadow; else nothing reaches down to it."""
+    world = scene.clip.world
+    assert world is not None
+    free = _Bodies.of(scene)
+    assert free.table_height < se3.transform(world.T_world_cam[0], free.vertices(0.0))[:, 2].min()
+    supported = replace(scene, clip=replace(scene.clip, world=replace(world, support=0.125)))
+    assert _Bodies.of(supported).table_height == 0.125
 
 
 def test_bodies_shade_the_table_below_them_and_nothing_else(scene: Scene) -> None:

@@ -12,8 +12,8 @@ from numpy import ndarray
 from getagrip.clip import Clip, Masks
 from getagrip.clip.clip import frame_indices
 from getagrip.geometry import se3
-from getagrip.geometry.camera import bounding_boxes
 from getagrip.geometry.rasterize import nearest_surface, render_coverage
+from getagrip.io.images import PackedMask, PackedMasks, pack_masks
 from getagrip.metrics.contact import moving_distance
 from getagrip.provenance import is_assumed
 
@@ -125,11 +125,21 @@ class Evidence:
         return float(np.median(np.ptp(self.clip.hand.vertices, axis=1).max(axis=-1)))
 
     @cached_property
+    def shown(self) -> PackedMasks:
+        """The object's masks."""
+        return pack_masks(self.masks.object)
+
+    @cached_property
+    def ignored(self) -> PackedMasks:
+        """The ignore masks."""
+        return pack_masks(self.masks.ignore)
+
+    @cached_property
     def centroids(self) -> Float[ndarray, "T 2"]:
         """Middles of the object's masks [px]; NaN where a mask is empty."""
-        sums = np.empty((len(self.masks.object), 2))
-        for n, (mask, (u0, v0, u1, v1)) in enumerate(zip(self.masks.object, self.boxes, strict=True)):
-            shown = mask[v0:v1, u0:u1]
+        sums = np.empty((len(self.boxes), 2))
+        for n, (mask, (u0, v0, u1, v1)) in enumerate(zip(self.shown.frames, self.boxes, strict=True)):
+            shown = mask.part(mask.box)
             sums[n] = shown.sum(axis=0) @ np.arange(u0, u1), shown.sum(axis=1) @ np.arange(v0, v1)
         with np.errstate(invalid="ignore"):
             return sums / self.mask_area[:, None] + 0.5
@@ -137,12 +147,12 @@ class Evidence:
     @cached_property
     def boxes(self) -> Int[ndarray, "T 4"]:
         """Boxes around the object's masks [px]."""
-        return bounding_boxes(self.masks.object)
+        return self.shown.boxes
 
     @cached_property
     def mask_area(self) -> Float[ndarray, "T"]:
         """Pixels of the object's masks."""
-        return np.array([np.count_nonzero(mask) for mask in self.masks.object], dtype=float)
+        return self.shown.areas.astype(float)
 
     @cached_property
     def apparent_size(self) -> float:
@@ -163,14 +173,14 @@ class Evidence:
     @cached_property
     def small_ignore(self) -> Bool[ndarray, "T h w"]:
         """The ignore masks in small images."""
-        return np.stack([_subsample_mask(mask, self._zoom, self._small) for mask in self.masks.ignore])
+        return np.stack([_subsample_mask(mask, self._zoom, self._small) for mask in self.ignored.frames])
 
     @cached_property
     def small_hand_pixels(self) -> Bool[ndarray, "T h w"]:
         """The hand masks in small images; without hand masks, the ignore masks."""
         if self.masks.hand is None:
             return self.small_ignore
-        return np.stack([_subsample_mask(mask, self._zoom, self._small) for mask in self.masks.hand])
+        return np.stack([_subsample_mask(mask, self._zoom, self._small) for mask in pack_masks(self.masks.hand).frames])
 
     @property
     def _zoom(self) -> float:
@@ -225,6 +235,7 @@ class Evidence:
         few, zoom = frame_indices(len(self.clip), N_DEPTH_ORDER_FRAMES), DEPTH_ORDER_IMAGE_PX / max(self.clip.size)
         zoom = min(1.0, zoom)
         size = max(1, int(self.clip.size[0] * zoom)), max(1, int(self.clip.size[1] * zoom))
+        hands = None if self.masks.hand is None else pack_masks(self.masks.hand)
         counts = np.zeros((2, 2))  # of the hand's, then of the object's pixels: with the other in front, and in all
         for n in few:
             hand = self.clip.hand.T_cam_hand[n]
@@ -232,17 +243,17 @@ class Evidence:
             posed_hand = se3.transform(hand, self.clip.hand.vertices[n])
             surfaces = (posed, self.clip.mesh.faces), (posed_hand, self.clip.hand.faces)
             nearest = nearest_surface(surfaces, np.diag([zoom, zoom, 1.0]) @ self.clip.K[n], size)
-            for k, masks in enumerate((self.masks.hand, self.masks.object)):
+            for k, masks in enumerate((hands, self.shown)):
                 if masks is None:
                     continue
-                shown = _subsample_mask(masks[n], zoom, size)
+                shown = _subsample_mask(masks.frames[n], zoom, size)
                 counts[k] += np.count_nonzero(shown & (nearest == k)), np.count_nonzero(shown)
         with np.errstate(invalid="ignore"):
             over, under = counts[:, 0] / counts[:, 1]
         return float(over), float(under)
 
 
-def _subsample_mask(mask: Bool[ndarray, "H W"], zoom: float, size: tuple[int, int]) -> Bool[ndarray, "h w"]:
+def _subsample_mask(mask: PackedMask, zoom: float, size: tuple[int, int]) -> Bool[ndarray, "h w"]:
     """Shrink a mask by ``zoom`` to an image of a size (width, height) [px]."""
     columns, rows = (((np.arange(side) + 0.5) / zoom).astype(int) for side in size)
-    return mask[rows[:, None], columns]
+    return mask.grid(rows, columns)

@@ -48,9 +48,12 @@ def lifted_hand_size(it: Evidence) -> float:
 
 def edge_share(it: Evidence) -> float:
     """Compute the fraction of the image's edge that the masks cover, median over frames; 1 for the background."""
-    each = [(mask[[0, -1]].mean(), mask[:, [0, -1]].mean()) for mask in it.masks.object]
-    edges = np.array(each).T
     width, height = it.clip.size
+    columns, rows = np.arange(width), np.arange(height)
+    each = [
+        (mask.grid(rows[[0, -1]], columns).mean(), mask.grid(rows, columns[[0, -1]]).mean()) for mask in it.shown.frames
+    ]
+    edges = np.array(each).T
     return float(np.median((width * edges[0] + height * edges[1]) / (width + height)))
 
 

@@ -21,7 +21,7 @@ from numpy import ndarray
 from getagrip.checks.evidence import Evidence
 from getagrip.clip.clip import frame_indices
 from getagrip.geometry import se3
-from getagrip.geometry.rasterize import render_coverage
+from getagrip.geometry.rasterize import render_packed
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import find_symmetries, surface_points
 from getagrip.result import Axis, Candidates
@@ -192,11 +192,12 @@ def difference_correlation(it: Evidence) -> float:
 
 def _mask_difference(it: Evidence, n: int) -> Float[ndarray, "g g"]:
     """Count mask pixels minus silhouette pixels, outside the ignore mask, in each cell around the mask."""
-    mask, ignored = it.masks.object[n], it.masks.ignore[n]
-    silhouette = render_coverage(it.posed[n], it.clip.mesh.faces, it.clip.K[n], it.clip.size)
-    rows, columns = np.nonzero(mask ^ (silhouette & (mask | ~ignored)))
+    silhouette = render_packed(it.posed[n], it.clip.mesh.faces, it.clip.K[n], it.clip.size)
+    box = silhouette.box_with(it.shown.frames[n])
+    mask, ignored = it.shown.frames[n].part(box), it.ignored.frames[n].part(box)
+    rows, columns = np.nonzero(mask ^ (silhouette.part(box) & (mask | ~ignored)))
     half = float(np.max(it.boxes[n, 2:] - it.boxes[n, :2]))
-    offsets = zip((columns, rows), it.centroids[n], strict=True)
+    offsets = zip((columns + box[0], rows + box[1]), it.centroids[n], strict=True)
     across, down = (((at - middle) / half + 1.0) * N_DIFFERENCE_CELLS / 2.0 for at, middle in offsets)
     edges = np.arange(N_DIFFERENCE_CELLS + 1.0)
     return np.histogram2d(down, across, (edges, edges), weights=np.where(mask[rows, columns], 1.0, -1.0))[0]

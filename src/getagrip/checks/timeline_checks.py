@@ -18,7 +18,7 @@ from getagrip.checks.table import INPUT_CHECKS, MIN_MEAN_IOU, RESULT_CHECKS
 from getagrip.clip import Clip, Masks, Segment, modalities, with_evidence, with_masks
 from getagrip.clip.clip import frame_indices
 from getagrip.geometry import se3
-from getagrip.geometry.rasterize import render_coverage
+from getagrip.geometry.rasterize import render_packed
 from getagrip.result.findings import Finding
 
 MIN_OBJECT_RANGE_M, MAX_OBJECT_RANGE_M = 0.05, 20.0
@@ -59,11 +59,11 @@ def mask_drift(it: Evidence) -> float:
     """
     offsets = []
     for n in np.flatnonzero(it.mask_area >= MIN_SHOWN_FRACTION * it.mask_area.max()):
-        mask, ignored = it.masks.object[n], it.masks.ignore[n]
-        silhouette = render_coverage(it.posed[n], it.clip.mesh.faces, it.clip.K[n], it.clip.size) & (mask | ~ignored)
-        if silhouette.any():
-            rows, columns = np.nonzero(silhouette)
-            middle = np.array([columns.mean(), rows.mean()]) + 0.5
+        drawn = render_packed(it.posed[n], it.clip.mesh.faces, it.clip.K[n], it.clip.size)
+        mask, ignored = it.shown.frames[n].part(drawn.box), it.ignored.frames[n].part(drawn.box)
+        rows, columns = np.nonzero(drawn.part(drawn.box) & (mask | ~ignored))
+        if len(rows):
+            middle = np.array([(columns + drawn.left).mean(), (rows + drawn.top).mean()]) + 0.5
             offsets.append((it.centroids[n] - middle) / np.sqrt(it.mask_area[n]))
     if not offsets:
         return float("nan")

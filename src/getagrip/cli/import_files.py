@@ -25,7 +25,7 @@ from getagrip.clip.read import STATED_BY_USER, ClipHeader, SegmentList, parse_wo
 from getagrip.clip.read_arrays import check_intrinsics
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays, files
-from getagrip.io.images import read_png, write_mask
+from getagrip.io.images import read_mask, write_mask
 from getagrip.io.options import Flag, one_of
 from getagrip.io.terminal import NullOutput, collect_warnings, format_count, print_note, print_result, warn
 from getagrip.provenance import Source, assumed, estimated, measured, report_source
@@ -244,9 +244,9 @@ def _read_depth_masks(header: ClipHeader, reader: DepthReader) -> dict[int, tupl
     masks = header.folder / "masks"
     masked = [n for n in reader.known if (masks / f"object/{header.frames[n]}.png").is_file()]
     for n in sample_frames(masked):
-        seen = read_png(masks / f"object/{header.frames[n]}.png", header.size) > 0
+        seen = read_mask(masks / f"object/{header.frames[n]}.png", header.size).unpacked
         ignore = masks / f"ignore/{header.frames[n]}.png"
-        found[n] = seen, read_png(ignore, header.size) > 0 if ignore.is_file() else np.zeros_like(seen)
+        found[n] = seen, read_mask(ignore, header.size).unpacked if ignore.is_file() else np.zeros_like(seen)
     return found
 
 

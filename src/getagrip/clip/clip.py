@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol, Self
@@ -18,7 +18,7 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData, as_array, check_finite, check_ids
 from getagrip.io.files import inside, shorten_value
-from getagrip.io.images import PackedMask, PackedMasks
+from getagrip.io.images import PackedMask, PackedMasks, pack_masks
 from getagrip.provenance import Provenance
 
 
@@ -232,21 +232,29 @@ class Masks(ArrayData):
         return Masks(objects, ignored, hands if len(hands) == len(objects) else None)
 
     @property
+    def in_bits(self) -> Masks:
+        """The masks in little memory (``PackedMasks``), read-only."""
+        hand = None if self.hand is None else pack_masks(self.hand).as_array()
+        return Masks(pack_masks(self.object).as_array(), pack_masks(self.ignore).as_array(), hand)
+
+    @property
     def observed(self) -> Bool[ndarray, "T"]:
         """True for frames with a pixel of the object that is not ignored."""
-        return np.array([(o & ~i).any() for o, i in zip(self.object, self.ignore, strict=True)], dtype=bool)
+        return np.array([shown.exceeds(ignored) for shown, ignored in self._each], dtype=bool)
 
     @property
     def known(self) -> Bool[ndarray, "T"]:
         """True for frames with a known mask: an object's pixel, or one that is not ignored."""
-        shown = np.asarray(self.object.any(axis=(1, 2)))
-        return np.array([one or not i.all() for one, i in zip(shown, self.ignore, strict=True)], dtype=bool)
+        return np.array([shown.area > 0 or not ignored.is_full for shown, ignored in self._each], dtype=bool)
 
     @property
     def say_what_hides(self) -> bool:
         """True if pixels are ignored in a frame with a known mask."""
-        shown = np.asarray(self.object.any(axis=(1, 2)))
-        return any(i.any() and (one or not i.all()) for one, i in zip(shown, self.ignore, strict=True))
+        return any(ignored.area > 0 and (shown.area > 0 or not ignored.is_full) for shown, ignored in self._each)
+
+    @property
+    def _each(self) -> Iterator[tuple[PackedMask, PackedMask]]:
+        return zip(pack_masks(self.object).frames, pack_masks(self.ignore).frames, strict=True)
 
     def __len__(self) -> int:
         return len(self.object)

@@ -28,7 +28,7 @@ from getagrip.geometry.camera import bounding_boxes, project
 from getagrip.io import arrays, files
 from getagrip.io.array_data import ArrayData
 from getagrip.io.files import Json, shorten_value
-from getagrip.io.images import open_png, png_size
+from getagrip.io.images import open_png, pack_masks, png_size
 
 DEPTH_KEY = "depth"
 """Key of ``Clip.evidence`` and of ``clip.json``, and the folder of the images."""
@@ -136,11 +136,12 @@ class Depth(ArrayData):
     def of_masks(self, masks: Bool[ndarray, "T H W"], size: tuple[int, int]) -> Bool[ndarray, "T n n"]:
         """Sample masks of a ``size`` (width, height) [px] at the depth samples; False beyond the image."""
         found = np.zeros(self.z.shape, dtype=bool)
-        for n, (corner, stride) in enumerate(zip(self.corner, self.stride, strict=True)):
+        frames = zip(pack_masks(masks).frames, self.corner, self.stride, strict=True)
+        for n, (mask, corner, stride) in enumerate(frames):
             at = corner[:, None] + stride * np.arange(self.z.shape[-1])
             columns, rows = np.floor((at + 0.5) * (np.array(size) / np.array(self.size))[:, None]).astype(int)
             (left, right), (top, bottom) = np.searchsorted(columns, [0, size[0]]), np.searchsorted(rows, [0, size[1]])
-            found[n, top:bottom, left:right] = masks[n][rows[top:bottom, None], columns[left:right]]
+            found[n, top:bottom, left:right] = mask.grid(rows[top:bottom], columns[left:right])
         return found
 
 

@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
-from getagrip.clip.clip import Clip, FrameMasks, Masks, frame_indices
+from getagrip.clip.clip import Clip, Masks, frame_indices
 from getagrip.errors import InputError, UsageError, check_arguments
 from getagrip.geometry import se3
 from getagrip.io import files
 from getagrip.io.array_data import ArrayData
-from getagrip.io.images import PackedMasks, read_png, write_mask
+from getagrip.io.images import PackedMask, PackedMasks, pack_masks, read_mask, write_mask
 
 OBJECT_MASKS_KEY, HAND_MASKS_KEY = "object-masks", "hand-masks"
 """Keys of ``Clip.evidence``: the names of the two modalities of masks."""
@@ -86,14 +86,14 @@ def read_available_masks(clip: Clip, with_hand: bool = False) -> Masks | None:
     """Read the masks of a clip's frames, which may all be empty, optionally with hand masks; None without a folder."""
     if not _has_masks(clip):
         return None
-    masks = Masks.packed(_iterate_frame_masks(clip), clip.size)
+    masks = _stack_masks(clip)
     return add_hand_masks(masks, clip) if with_hand else masks
 
 
 def read_object_masks(clip: Clip) -> Masks:
     """Read the masks of a clip's frames without hand masks. Raises as ``read_masks`` does."""
     _clip_folder(clip)
-    masks = Masks.packed(_iterate_frame_masks(clip), clip.size)
+    masks = _stack_masks(clip)
     _check_nonempty_masks(clip, bool(masks.object.any()))
     return masks
 
@@ -103,9 +103,9 @@ def read_hand_masks(clip: Clip) -> VisibleHand | None:
     folder = _clip_folder(clip)
     if not (folder / "masks" / "hand").exists():
         return None
-    nothing, size = np.zeros(clip.size[::-1], dtype=bool), clip.size
-    each = (_read_mask_png(folder, "hand", name, size) if has_mask(folder, name) else nothing for name in clip.frames)
-    return VisibleHand(PackedMasks.of(each, size).as_array())
+    nothing, size = PackedMask.empty(clip.size[::-1]), clip.size
+    each = [_read_mask_file(folder, "hand", name, size) if has_mask(folder, name) else nothing for name in clip.frames]
+    return VisibleHand(PackedMasks(each, size[::-1]).as_array())
 
 
 def add_hand_masks(masks: Masks, clip: Clip) -> Masks:
@@ -117,23 +117,28 @@ def add_hand_masks(masks: Masks, clip: Clip) -> Masks:
 def read_observed(clip: Clip) -> Bool[ndarray, "T"]:
     """Compute ``read_masks(clip).observed``, with one frame in memory at a time."""
     any_object, observed = False, np.zeros(len(clip), dtype=bool)
-    for n, (mask, ignore, _) in enumerate(_iterate_frame_masks(clip)):
-        any_object |= bool(mask.any())
-        observed[n] = (mask & ~ignore).any()
+    for n, (mask, ignore) in enumerate(_iterate_masks(clip)):
+        any_object |= mask.area > 0
+        observed[n] = mask.exceeds(ignore)
     _check_nonempty_masks(clip, any_object)
     return observed
 
 
-def _iterate_frame_masks(clip: Clip) -> Iterator[FrameMasks]:
-    folder, (width, height) = _clip_folder(clip), clip.size
+def _stack_masks(clip: Clip) -> Masks:
+    return Masks(*(PackedMasks(each, clip.size[::-1]).as_array() for each in zip(*_iterate_masks(clip), strict=True)))
+
+
+def _iterate_masks(clip: Clip) -> Iterator[tuple[PackedMask, PackedMask]]:
+    """Read the masks of the object and of ignored pixels, frame by frame."""
+    folder, size = _clip_folder(clip), clip.size[::-1]
+    nothing, everything = PackedMask.empty(size), PackedMask.full(size)
     hidden = (folder / "masks" / "ignore").exists()
     for frame in clip.frames:
         if not has_mask(folder, frame):
-            yield FrameMasks.unknown(clip.size)
+            yield nothing, everything
             continue
-        mask = _read_mask_png(folder, "object", frame, clip.size)
-        ignore = _read_mask_png(folder, "ignore", frame, clip.size) if hidden else np.zeros((height, width), dtype=bool)
-        yield FrameMasks(mask, ignore)
+        mask = _read_mask_file(folder, "object", frame, clip.size)
+        yield mask, _read_mask_file(folder, "ignore", frame, clip.size) if hidden else nothing
 
 
 def has_mask(folder: Path, frame: str) -> bool:
@@ -166,9 +171,9 @@ def _clip_folder(clip: Clip) -> Path:
     return clip.folder
 
 
-def _read_mask_png(folder: Path, kind: str, frame: str, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+def _read_mask_file(folder: Path, kind: str, frame: str, size: tuple[int, int]) -> PackedMask:
     path = files.inside(folder, f"masks/{kind}/{frame}.png", "", "a mask for each frame of clip.json")
-    return read_png(path, size) != 0
+    return read_mask(path, size)
 
 
 def _check_nonempty_masks(clip: Clip, any_object: bool) -> None:
@@ -203,21 +208,20 @@ def observed_frames(clip: Clip, observed: Bool[ndarray, "T"], most: int | None =
 
 def occluded_by_hand(clip: Clip, masks: Masks) -> Masks:
     """Ignore the pixels of the clip's rendered hands outside the object's mask; all pixels of unknown masks."""
-    from getagrip.geometry.rasterize import render_coverage
+    from getagrip.geometry.rasterize import render_packed
 
     hands = [(clip.hand, np.ones(len(clip), dtype=bool))]
     if clip.other_hand is not None:
         hands.append((clip.other_hand.track, clip.other_hand.known))
     posed = [(se3.transform(hand.T_cam_hand, hand.vertices), hand.faces, known) for hand, known in hands]
-    unknown = ~masks.known
+    size = clip.size[::-1]
 
-    def hidden(n: int, visible: Bool[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
-        if unknown[n]:
-            return np.ones_like(visible)
-        ignore = np.zeros_like(visible)
-        for vertices, faces, known in posed:
-            if known[n]:
-                ignore |= render_coverage(vertices[n], faces, clip.K[n], clip.size)
-        return ignore & ~visible
+    def hidden(n: int, visible: PackedMask) -> PackedMask:
+        drawn = [render_packed(v[n], faces, clip.K[n], clip.size) for v, faces, known in posed if known[n]]
+        box = drawn[0].box_with(drawn[-1])  # one hand or two
+        covered = np.any([hand.part(box) for hand in drawn], axis=0)
+        return PackedMask.of(covered & ~visible.part(box), box[1], box[0], size)
 
-    return Masks(masks.object, PackedMasks.of(map(hidden, range(len(clip)), masks.object), clip.size).as_array())
+    frames = enumerate(zip(pack_masks(masks.object).frames, masks.known, strict=True))
+    ignored = [hidden(n, visible) if known else PackedMask.full(size) for n, (visible, known) in frames]
+    return Masks(masks.object, PackedMasks(ignored, size).as_array())

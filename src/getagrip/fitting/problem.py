@@ -25,7 +25,7 @@ from getagrip.clip import (
 from getagrip.clip.masks import occluded_by_hand
 from getagrip.fitting.energy import Energy, Terms
 from getagrip.fitting.energy.contact import CONTACT_GRID_MARGIN_M, build_contact_grid, rms_distances
-from getagrip.fitting.energy.mask import GAP_SHARE, Observation, observe_masks
+from getagrip.fitting.energy.mask import GAP_SHARE, Observation, masks_leave_gaps, observe_masks
 from getagrip.fitting.hand.hand_error_model import SolvedHand, interpolate_solved_hand
 from getagrip.fitting.hand.refine_hand import HandRefinement, refine_hand
 from getagrip.fitting.motion import Motion, PosesInHand
@@ -321,17 +321,21 @@ def _prepare_sampled(
         notes.append(f"{format_count(len(clip.left_out), one, more)} left out of the fit: {', '.join(clip.left_out)}")
     # For the paper's method gaps between the masks are background.
     gap_share = 1.0 if options.as_published else GAP_SHARE
-    observation = observe_masks(masks, clip.K, options.occlusion, gap_share)
+    hand_drawn = options.occlusion and not masks.say_what_hides
+    if hand_drawn:  # observed below, once the hand is refined
+        have_gaps = masks_leave_gaps(masks, gap_share)
+    else:
+        observation = observe_masks(masks, clip.K, options.occlusion, gap_share)
+        have_gaps = observation.has_gaps
     refinement, differing = None, float("nan")
     if options.hands == "corrected" and not options.as_published:
-        refinement, differing = refine_hand(clip, masks, observation.has_gaps)
+        refinement, differing = refine_hand(clip, masks, have_gaps)
     if refinement is not None:
         hand = refinement.with_fingers(clip.hand, np.arange(len(clip)))
         clip = replace(clip, hand=hand).with_hand_at(refinement.T_cam_hand)
         notes.append(str(refinement))
         if refinement.kind != kind_of_hands(clip.provenance):
             notes.append("the hand counts as estimated: it was turned farther than the errors of measured hands allow")
-    hand_drawn = options.occlusion and not masks.say_what_hides
     if hand_drawn:
         masks = occluded_by_hand(clip, masks)
         observation = observe_masks(masks, clip.K, options.occlusion, gap_share)

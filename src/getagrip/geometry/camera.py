@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from numpy import ndarray
 
+from getagrip.io.images import PackedMask, PackedMasks
+
 
 def project(
     K: Float[ndarray, "*#batch 3 3"], X_cam: Float[ndarray, "*#batch points 3"]
@@ -60,16 +62,20 @@ class Crops:
         T, H, W = images.shape
         centres = (np.arange(self.size) + 0.5) / self.zoom
         out = np.full((T, self.size, self.size), outside, dtype=images.dtype)
-        for n in range(T):
+        for n, image in enumerate(images.frames if isinstance(images, PackedMasks) else images):
             cols = np.floor(self.corner[n, 0] + centres).astype(int)
             rows = np.floor(self.corner[n, 1] + centres).astype(int)
             (left, right), (top, bottom) = np.searchsorted(cols, [0, W]), np.searchsorted(rows, [0, H])
-            out[n, top:bottom, left:right] = images[n].take(rows[top:bottom], 0).take(cols[left:right], 1)
+            at = rows[top:bottom], cols[left:right]
+            packed = isinstance(image, PackedMask)
+            out[n, top:bottom, left:right] = image.grid(*at) if packed else image.take(at[0], 0).take(at[1], 1)
         return out
 
 
 def bounding_boxes(masks: Shaped[ndarray, "T H W"]) -> Int[ndarray, "T 4"]:
     """Return (u0, v0, u1, v1) [px], end exclusive, of each mask's non-zero pixels; zeros for an empty mask."""
+    if isinstance(masks, PackedMasks):
+        return masks.boxes.copy()
     boxes = np.zeros((len(masks), 4), dtype=int)
     for n, mask in enumerate(masks):
         rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))

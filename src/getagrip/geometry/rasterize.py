@@ -18,6 +18,7 @@ from numpy import ndarray
 
 from getagrip.compiling import kernel
 from getagrip.geometry.mesh import vertex_normals
+from getagrip.io.images import PackedMask
 
 MIN_ZBUFFER_DEPTH_M = 0.02
 """Depth from which on surfaces are rendered [m]."""
@@ -55,8 +56,31 @@ def render_coverage(
     width, height = size
     mask = np.zeros((height, width), dtype=np.bool_)
     corners = np.ascontiguousarray(vertices_cam @ K.T, dtype=np.float64)
-    _rasterise_coverage(corners, np.ascontiguousarray(faces, dtype=np.int64), mask)
+    _rasterise_coverage(corners, np.ascontiguousarray(faces, dtype=np.int64), width, height, 0, 0, mask)
     return mask
+
+
+def render_packed(
+    vertices_cam: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], K: Float[ndarray, "3 3"], size: tuple[int, int]
+) -> PackedMask:
+    """Render the mask of all surfaces, packed: its cost grows with the pixels around them, not with the image."""
+    corners = np.ascontiguousarray(vertices_cam @ K.T, dtype=np.float64)
+    left, top, right, bottom = _image_part(corners, size)
+    mask = np.zeros((bottom - top, right - left), dtype=np.bool_)
+    _rasterise_coverage(corners, np.ascontiguousarray(faces, dtype=np.int64), *size, top, left, mask)
+    return PackedMask.of(mask, top, left, size[::-1])
+
+
+def _image_part(corners: Float[ndarray, "V 3"], size: tuple[int, int]) -> tuple[int, int, int, int]:
+    """Return (left, top, right, bottom) of the pixels that faces may cover, as ``_face_pixel_box`` does of one."""
+    if not len(corners):
+        return 0, 0, 0, 0
+    if corners[:, 2].min() < MIN_ZBUFFER_DEPTH_M:
+        return 0, 0, *size
+    uv = corners[:, :2] / corners[:, 2:]
+    left, top = np.floor(np.clip(uv.min(axis=0) - 0.5, 0.0, size)).astype(int).tolist()
+    right, bottom = np.ceil(np.clip(uv.max(axis=0) + 0.5, 0.0, size)).astype(int).tolist()
+    return left, top, right, bottom
 
 
 def interpolate_vertex_values(
@@ -120,10 +144,11 @@ def _rasterise_depth(p: ndarray, faces: ndarray, depth: ndarray, face: ndarray) 
                     face[i, j] = f
 
 
-@kernel("f2 i2 b2", fastmath=False)
-def _rasterise_coverage(p: ndarray, faces: ndarray, mask: ndarray) -> None:
-    """Mark the pixels with a face in ``_rasterise_depth``."""
-    height, width = mask.shape
+@kernel("f2 i2 i i i i b2", fastmath=False)
+def _rasterise_coverage(
+    p: ndarray, faces: ndarray, width: int, height: int, row0: int, column0: int, mask: ndarray
+) -> None:
+    """Mark the pixels with a face in ``_rasterise_depth``, in a part of the image from a row and column on."""
     for f in range(len(faces)):
         p0, p1, p2 = p[faces[f, 0]], p[faces[f, 1]], p[faces[f, 2]]
         left, right, top, bottom = _face_pixel_box(p0, p1, p2, width, height)
@@ -136,7 +161,7 @@ def _rasterise_coverage(p: ndarray, faces: ndarray, mask: ndarray) -> None:
             v = i + 0.5
             r0, r1, r2 = a0y * v + a0z, a1y * v + a1z, a2y * v + a2z
             for j in range(left, right):
-                if mask[i, j]:
+                if mask[i - row0, j - column0]:
                     continue
                 u = j + 0.5
                 b0, b1, b2 = a0x * u + r0, a1x * u + r1, a2x * u + r2
@@ -144,7 +169,7 @@ def _rasterise_coverage(p: ndarray, faces: ndarray, mask: ndarray) -> None:
                     continue
                 total = b0 + b1 + b2
                 if total > 0.0 and volume / total >= MIN_ZBUFFER_DEPTH_M:
-                    mask[i, j] = True
+                    mask[i - row0, j - column0] = True
 
 
 @kernel(fastmath=False)

@@ -17,6 +17,7 @@ from getagrip.clip import Masks
 from getagrip.geometry import se3
 from getagrip.geometry.camera import crops_around
 from getagrip.geometry.mesh import Mesh
+from getagrip.io.images import PackedMask, pack_masks
 
 IOU_CROP_PX = 256
 """Side of the crops [px]: the paper's render_size."""
@@ -72,19 +73,24 @@ def iou_of_poses(
 
 def iou_of_meshes(meshes: Sequence[Mesh | None], K: Float[ndarray, "T 3 3"], masks: Masks) -> MaskIou:
     """Compute the IOU of each frame's mesh, in the camera frame, with the observed mask; 0 without a mesh."""
+    from getagrip.geometry.rasterize import render_packed
+
     T, H, W = masks.object.shape
     out = MaskIou(*np.full((3, T), np.nan))
     frames = np.flatnonzero(masks.observed)
     if not frames.size:
         return out
-    crops = crops_around(masks.object[frames], size=IOU_CROP_PX)
-    observed = crops.resample(masks.object[frames], outside=False)
-    ignore = crops.resample(masks.ignore[frames], outside=True)
+    masks = masks.take(frames).in_bits
+    crops = crops_around(masks.object, size=IOU_CROP_PX)
+    observed, ignore = crops.resample(masks.object, outside=False), crops.resample(masks.ignore, outside=True)
+    whole = zip(pack_masks(masks.object).frames, pack_masks(masks.ignore).frames, strict=True)
     once = crops.intrinsics(K[frames])
     twice = np.array([2.0, 2.0, 1.0])[:, None] * once  # double resolution
-    for i, n in enumerate(frames):
+    for i, (n, (seen, hidden)) in enumerate(zip(frames, whole, strict=True)):
         mesh = meshes[int(n)]
-        out.full[n] = iou(_render_mask(mesh, K[n], (W, H)), masks.object[n], masks.ignore[n])
+        drawn = PackedMask.empty((H, W)) if mesh is None else render_packed(mesh.vertices, mesh.faces, K[n], (W, H))
+        box = seen.box_with(drawn)
+        out.full[n] = iou(drawn.part(box), seen.part(box), hidden.part(box))
         out.crop[n] = iou(_render_mask(mesh, once[i], (IOU_CROP_PX, IOU_CROP_PX)), observed[i], ignore[i])
         out.soft[n] = soft_iou(_render_mask(mesh, twice[i], (2 * IOU_CROP_PX, 2 * IOU_CROP_PX)), observed[i], ignore[i])
     return out

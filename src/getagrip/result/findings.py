@@ -60,8 +60,6 @@ def read_checks(path: Path, entry: Mapping[str, object], key: str = "checks") ->
     return out
 
 
-SUCCESS_DEFINITION = "right if the mean vertex distance is below 10 % of the diameter"
-"""Short meaning of a probability; the full one is ``Probability.meaning``."""
 CANDIDATE_SET_COVERAGE = 0.9
 """Probability that a result's set of candidates contains the right one."""
 MIN_SHOWN_PROBABILITY = 0.01

@@ -35,7 +35,8 @@ FOREARM_LENGTH_M, SLEEVE_START_M = 0.45, 0.18
 FOREARM_PROFILE_M = (-0.015, 0.01, 0.05, 0.22, 0.45), (0.012, 0.024, 0.028, 0.042, 0.05)
 """Radius of the forearm at distances behind the wrist; it grows out of the hand's wrist."""
 TABLE_MARGIN_M, TABLE_DEPTH_M = 0.01, 2.5
-"""Distance of the table's top below everything that moves, and from the camera to its far edge."""
+"""Distance of the table's top below everything that moves, where the clip's world has no support, and from the camera
+to its far edge."""
 LAMP_DIRECTION, LAMP_SPREAD = np.array([-0.45, -0.35, 0.82]), 0.05
 """Direction to the lamp in the world (z up), and its angular radius [rad]: the softness of its shadow."""
 SHADOW_MAP_PX, SHADOW_BIAS_M, SHADOW_BLUR_PX, N_LAMP_SPOTS = 512, 0.006, 2.0, 9
@@ -139,7 +140,9 @@ class _Bodies:
         lowest = min(
             se3.transform(bodies.T_world_cam(n), bodies.vertices(float(n)))[:, 2].min() for n in range(0, len(clip), 3)
         )
-        return replace(bodies, table_height=float(lowest) - TABLE_MARGIN_M)
+        support = clip.world.support if clip.world is not None else None
+        table = float(lowest) - TABLE_MARGIN_M if support is None else support
+        return replace(bodies, table_height=table)
 
     def T_world_cam(self, n: int) -> Float[ndarray, "4 4"]:
         """Return the camera's pose in a frame."""

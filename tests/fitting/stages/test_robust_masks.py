@@ -8,15 +8,19 @@ import numpy as np
 import pytest
 
 from getagrip.bench.inputs.perturbations import displace_mask
+from getagrip.fitting.energy.mask import SilhouetteMesh
 from getagrip.fitting.motion import PosesInHand
 from getagrip.fitting.options import Options
 from getagrip.fitting.stages.robust_masks import (
     OUTLIER_AREA_FRACTION,
     OUTLIER_MEDIAN_FACTOR,
     MaskOverlap,
+    mask_overlap,
     medoid_poses,
     outlier_threshold,
 )
+from getagrip.geometry import se3
+from getagrip.geometry.kernels.silhouette import silhouettes, unpack
 from getagrip.reconstruct import reconstruct
 from helpers.scenes import SMALL, scene, scores
 
@@ -54,6 +58,29 @@ def test_a_mask_is_an_outlier_by_the_objects_size_and_by_the_other_masks(times: 
     assert outlier_threshold(met) == max(OUTLIER_AREA_FRACTION * size, OUTLIER_MEDIAN_FACTOR * times * 12.0)
     poor = met._replace(either=met.either + size)  # all are missed: none contradicts the others
     assert poor.differing.max() < outlier_threshold(poor)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.12, -0.12, 3.0])
+def test_masks_are_compared_by_the_part_of_the_image_around_the_object(shift: float) -> None:
+    clip, masks = scene("mug", 2, replace(SMALL, frames=9))
+    T = se3.inverse(clip.hand.T_cam_hand) @ clip.truth.T_cam_obj
+    T_cam_hand = clip.hand.T_cam_hand.copy()
+    T_cam_hand[:, 0, 3] += shift  # in the image, across a border on either side, or out of it
+    T_cam_hand[3, 2, 3] = -1.0  # behind the camera nothing is drawn
+    clip = clip.with_hand_at(T_cam_hand)
+    met = mask_overlap(clip, masks, T, 1.1)
+
+    width, height = clip.size
+    T_cam_obj = T_cam_hand @ T
+    R, t = np.ascontiguousarray(T_cam_obj[:, :3, :3]), np.ascontiguousarray(T_cam_obj[:, :3, 3])
+    K = np.stack([clip.K[:, 0, 0], clip.K[:, 1, 1], clip.K[:, 0, 2], clip.K[:, 1, 2]], axis=1)
+    bits = np.empty((9, height, -(-width // 64)), np.uint64)
+    silhouettes(R, t, np.full(9, 1.1), *SilhouetteMesh.of(clip.mesh, np.zeros(3)).tables, K, bits)
+    drawn = unpack(bits, width)
+    counted = drawn & (masks.object | ~masks.ignore)
+    for found, expected in zip(met, (counted & masks.object, counted | masks.object, drawn), strict=True):
+        np.testing.assert_array_equal(found, expected.sum(axis=(1, 2)))
+    assert bool(met.silhouette.any()) == (shift < 1.0)
 
 
 def test_the_typical_pose_is_no_outlier() -> None:

@@ -20,7 +20,7 @@ from getagrip.geometry import se3
 from getagrip.hands import generic, mano
 from getagrip.hands.model import PALM_REGIONS, Side
 from getagrip.io import arrays
-from getagrip.io.images import read_png
+from getagrip.io.images import read_mask
 from getagrip.readers.trackers import read_tracked_hands
 from getagrip.readers.trackers.hamer import HaMeR
 from helpers.environment import ROOT
@@ -163,7 +163,7 @@ def test_sam2_runs_without_a_gpu_and_keeps_frames_in_memory(frames: Path, monkey
     package(monkeypatch, "sam2.sam2_video_predictor", SAM2VideoPredictor=SAM2VideoPredictor)
     run(monkeypatch, "sam_masks", "sam2", frames, "--box", *OBJECT, "--out", frames.parent / "out")
     for n, name in enumerate(IMAGE_NAMES):
-        np.testing.assert_array_equal(read_png(frames.parent / "out" / f"{name}.png", SIZE) > 0, disc(n))
+        np.testing.assert_array_equal(read_mask(frames.parent / "out" / f"{name}.png", SIZE).unpacked, disc(n))
 
 
 @pytest.mark.parametrize("text", [None, "mug", "unseen"])
@@ -196,7 +196,7 @@ def test_sam3_is_shown_the_box_beside_the_word(frames: Path, monkeypatch: pytest
     run(monkeypatch, "sam_masks", "sam3", frames, "--box", *OBJECT, *words, "--out", frames.parent / "out")
     asked = [prompt.get("text") for prompt in predictor.prompts]
     assert asked == ([text, None] if text == "unseen" else [text])
-    np.testing.assert_array_equal(read_png(frames.parent / "out" / f"{IMAGE_NAMES[2]}.png", SIZE) > 0, disc(2))
+    np.testing.assert_array_equal(read_mask(frames.parent / "out" / f"{IMAGE_NAMES[2]}.png", SIZE).unpacked, disc(2))
 
 
 def test_sam3_needs_a_box_or_a_word(frames: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,7 @@ from getagrip.metrics.evaluate import evaluate
 from getagrip.report.pages import IndexRow, index_row_without_clip, write_index, write_page
 from getagrip.report.pictures.result_view import View
 from getagrip.result import Axis, Candidates, SegmentResult, write_result
-from getagrip.result.findings import SUCCESS_DEFINITION, Finding, Probability
+from getagrip.result.findings import Finding, Probability
 from helpers.annotation import IN_BROWSER, READS_BACK, until
 from helpers.scenes import COMES, LIES, egg_and_mug, perfect, timeline
 
@@ -166,19 +166,27 @@ def test_words_of_strangers_stay_words(page: Any, folder: Path) -> None:
     assert page.inner_text("#name") == EVIL
     assert page.title() == f"{EVIL}, 1-DoF, ours"
     assert page.locator("img").count() == 1
-    assert page.locator(".warnings li").all_inner_texts() == [
-        "note ambiguous: another pose explains the masks almost as well; the candidates below show it",
-        f"serious mask-fit: </script>{EVIL}",
-    ]
-    assert page.locator(".notes li").all_inner_texts() == [f"a guess: {EVIL}", f"probability: {SUCCESS_DEFINITION}"]
+    assert f"mask-fit </script>{EVIL}" in page.locator(".warnings li").all_inner_texts()
+    assert page.locator(".notes li").all_inner_texts() == [f"a guess: {EVIL}"]
+
+
+def test_findings_are_folded_the_serious_ones_first_and_open(page: Any, folder: Path) -> None:
+    opened(page, folder / "moved" / "one" / "report.html")
+    summaries, messages = (page.locator(f".warnings {part}") for part in ("summary", "li"))
+    assert summaries.all_inner_texts() == ["1 serious finding mask-fit", "1 note ambiguous"]
+    assert [messages.nth(n).is_visible() for n in range(2)] == [True, False]
+    summaries.nth(1).click()
+    assert messages.nth(1).inner_text() == (
+        "ambiguous another pose explains the masks almost as well; the candidates below show it"
+    )
 
 
 def test_what_a_probability_means_is_said_once_and_folded(page: Any, folder: Path) -> None:
     opened(page, folder / "moved" / "one" / "report.html")
     assert "65.0 %\nIOU" in page.locator(".main div").all_inner_texts()  # the mean of the curve
     shown = page.locator(".main div").first
-    assert shown.inner_text() == "> 99 %\nprobability right in the hand"
-    assert shown.get_attribute("title") == f"long {EVIL}"
+    assert shown.inner_text() == "> 99 %\nprobability right: hand"
+    assert f"long {EVIL}" in shown.get_attribute("title")
     assert "long" not in page.inner_text("body")
     page.get_by_text("What the probabilities mean").click()
     assert page.inner_text("body").count("long") == 1

@@ -73,6 +73,9 @@ def find_gap_pixels(
     found, touching = np.empty_like(observed), 0
     around = np.ones((2 * MAX_GAP_PX + 1, 2 * MAX_GAP_PX + 1), np.uint8)
     for n, (s, h) in enumerate(zip(observed, hidden, strict=True)):
+        if not h.any():
+            found[n] = False
+            continue
         near, near_hidden = (cv2.dilate(m.view(np.uint8), around).view(bool) for m in (s, h))
         found[n] = near & near_hidden & ~(s | h)
         _keep_gaps(s, h, _OFFSETS, found[n])
@@ -175,6 +178,13 @@ def observe_masks(
         area=observed.sum(axis=(1, 2)).astype(float),
         has_gaps=has_gaps,
     )
+
+
+def masks_leave_gaps(masks: Masks, gap_share: float = GAP_SHARE) -> bool:
+    """Return ``has_gaps`` of an ``Observation`` of the masks, without the rest of it."""
+    crops = _dither_crops(crops_around(masks.object, size=MASK_CROP_SIZE_PX))
+    observed, valid = _sample_masks(masks, crops, use_ignore=True)
+    return bool(find_gap_pixels(observed, ~valid, gap_share).any())
 
 
 def _dither_crops(crops: Crops) -> Crops:

@@ -17,7 +17,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import Crops, crops_of_boxes, project
 from getagrip.geometry.kernels.silhouette import NX, NY, ROW_DISTANCE, ROW_WEIGHT, U, V, Z, contours, pack, unpack
 from getagrip.geometry.mesh import edge_table
-from getagrip.io.images import PackedMasks
+from getagrip.io.images import PackedMasks, pack_masks
 
 HAND_CROP_SIZE_PX = 128
 """Side of the crops [px]; a hand is half as large. Resampled directly: a reduced mask is a little too large."""
@@ -61,8 +61,8 @@ class HandMask:
         crops = hand_crops(clip)
         K = crops.intrinsics(clip.K)
         # Pixels at the border of the object's mask are the object's or the hand's.
-        grown = (cv2.dilate(m.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool) for m in masks.object)
-        objects = crops.resample(PackedMasks.of(grown, clip.size).as_array(), outside=True)
+        grown = PackedMasks([mask.grown for mask in pack_masks(masks.object).frames], clip.size[::-1])
+        objects = crops.resample(grown.as_array(), outside=True)
         hand = crops.resample(masks.ignore if masks.hand is None else masks.hand, outside=False) & ~objects
         valid = ~objects
         fxfycxcy = np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 2], K[:, 1, 2]], axis=1)

@@ -26,6 +26,7 @@ from getagrip.fitting.hand.hand_error_model import AssumedErrors, HandErrors, Ha
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands.bending import BONE_OF_JOINT
+from getagrip.io.images import pack_masks
 from getagrip.provenance import is_assumed, kind_of_hands
 
 JOINT_STUDENT_T_DOF = 4.0
@@ -212,17 +213,19 @@ def outside_mask_fraction(clip: Clip, masks: Masks) -> float:
     if hand.joints_2d is None or hand.joints_2d_confidence is None:
         return float("nan")
     outside, height, width = [], *masks.object.shape[1:]
-    frames = zip(hand.joints_2d, hand.joints_2d_confidence, hands, masks.object, strict=True)
+    both = pack_masks(hands).frames, pack_masks(masks.object).frames
+    frames = zip(hand.joints_2d, hand.joints_2d_confidence, *both, strict=True)
     for joints, confidence, shown, held in frames:
         inside = np.all((joints >= 0.0) & (joints < [width, height]), axis=1)  # not of NaN
         points = joints[(confidence > 0.0) & inside]
-        if not shown.any() or not len(points):
+        if not shown.area or not len(points):
             continue
         beside = MASK_MARGIN_FRACTION * np.ptp(points, axis=0).max()
         margin, pixels = int(beside) + 2, points.astype(int)
-        first, last = np.maximum(pixels.min(axis=0) - margin, 0), pixels.max(axis=0) + margin + 1
-        window = slice(first[1], last[1]), slice(first[0], last[0])
-        far = cv2.distanceTransform((~(shown[window] | held[window])).astype(np.uint8), cv2.DIST_L2, 3)
+        first = np.maximum(pixels.min(axis=0) - margin, 0)
+        last = np.minimum(pixels.max(axis=0) + margin + 1, [width, height])
+        box = int(first[0]), int(first[1]), int(last[0]), int(last[1])
+        far = cv2.distanceTransform((~(shown.part(box) | held.part(box))).astype(np.uint8), cv2.DIST_L2, 3)
         u, v = (pixels - first).T
         outside += list(far[v, u] > beside)
     return float(np.mean(outside)) if outside else float("nan")
@@ -248,7 +251,7 @@ def _joints_in_camera(hand: HandTrack) -> Float[ndarray, "N 21 3"]:
 def _inside_object_masks(masks: Masks, points: Float[ndarray, "N 21 2"]) -> Bool[ndarray, "N 21"]:
     height, width = masks.object.shape[1:]
     u, v = np.clip(points, 0.0, [width - 1, height - 1]).astype(int).transpose(2, 0, 1)
-    return np.stack([mask[y, x] for mask, x, y in zip(masks.object, u, v, strict=True)])
+    return np.stack([mask.at(y, x) for mask, x, y in zip(pack_masks(masks.object).frames, u, v, strict=True)])
 
 
 def _evidence_share(H: Float[ndarray, "*n P P"], deviation: Float[ndarray, "Q"]) -> Float[ndarray, "*n P P"]:

@@ -33,7 +33,8 @@ from getagrip.fitting.motion import (
 )
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.geometry import se3
-from getagrip.geometry.kernels.silhouette import silhouettes, unpack
+from getagrip.geometry.kernels.silhouette import MIN_SILHOUETTE_DEPTH_M, silhouettes, unpack
+from getagrip.io.images import pack_masks
 
 RENDER_BATCH_FRAMES = 64
 """Number of frames that are rendered at once, to limit memory."""
@@ -109,21 +110,36 @@ def mask_overlap(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], 
     """Compute the overlap of the posed object with the masks."""
     T_cam_obj = clip.hand.T_cam_hand @ T_hand_obj
     K = np.stack([clip.K[:, 0, 0], clip.K[:, 1, 1], clip.K[:, 0, 2], clip.K[:, 1, 2]], axis=1)
-    width, height = clip.size
     R, t = np.ascontiguousarray(T_cam_obj[:, :3, :3]), np.ascontiguousarray(T_cam_obj[:, :3, 3])
     tables = SilhouetteMesh.of(clip.mesh, np.zeros(3)).tables
+    observed, ignored = pack_masks(masks.object), pack_masks(masks.ignore)
     both, either, silhouette = np.empty(len(clip)), np.empty(len(clip)), np.empty(len(clip))
-    bits = np.empty((min(len(clip), RENDER_BATCH_FRAMES), height, -(-width // 64)), np.uint64)
     for first in range(0, len(clip), RENDER_BATCH_FRAMES):
         some = slice(first, first + RENDER_BATCH_FRAMES)
-        drawn = bits[: len(R[some])]
-        silhouettes(R[some], t[some], np.full(len(drawn), scale), *tables, K[some], drawn)
-        for n, (observed, ignored) in enumerate(zip(masks.object[some], masks.ignore[some], strict=True), start=first):
-            rendered = unpack(drawn[n - first], width)
+        corner, shape = _covered_words(se3.transform(T_cam_obj[some], scale * clip.mesh.vertices), K[some], clip.size)
+        drawn = np.empty((len(corner), *shape), np.uint64)
+        silhouettes(R[some], t[some], np.full(len(drawn), scale), *tables, K[some], drawn, corner)
+        for n, ((row, word), bits) in enumerate(zip(corner.tolist(), drawn, strict=True), start=first):
+            box = 64 * word, row, min(64 * (word + shape[1]), clip.size[0]), min(row + shape[0], clip.size[1])
+            rendered = unpack(bits[: box[3] - row], box[2] - box[0])
             silhouette[n] = np.count_nonzero(rendered)
-            rendered &= observed | ~ignored
-            both[n], either[n] = np.count_nonzero(rendered & observed), np.count_nonzero(rendered | observed)
+            shown = observed.frames[n].part(box)
+            rendered &= shown | ~ignored.frames[n].part(box)
+            both[n] = np.count_nonzero(rendered & shown)
+            either[n] = np.count_nonzero(rendered) + observed.frames[n].area - both[n]
     return MaskOverlap(both, either, silhouette)
+
+
+def _covered_words(
+    X_cam: Float[ndarray, "T V 3"], K: Float[ndarray, "T 4"], size: tuple[int, int]
+) -> tuple[Int[ndarray, "T 2"], tuple[int, int]]:
+    """Return the first row and word of 64 pixels that an object may cover in each frame, and the largest extent."""
+    uv = X_cam[..., :2] / np.maximum(X_cam[..., 2:], MIN_SILHOUETTE_DEPTH_M) * K[:, None, :2] + K[:, None, 2:]
+    low, high = np.clip([uv.min(axis=1) - 1.0, uv.max(axis=1) + 1.0], 0.0, size)[..., ::-1]  # 1: more than rounding
+    most = np.array([size[1], -(-size[0] // 64)])
+    first = np.minimum(np.floor(low / [1, 64]).astype(np.int64), most - 1)
+    extent = np.ceil(high / [1, 64]).astype(np.int64) - first
+    return first, tuple(np.clip(extent.max(axis=0), 1, most).tolist())
 
 
 def image_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Float[ndarray, "T"]:

@@ -107,22 +107,24 @@ def silhouette_edges(planes, edges, R, centre, scale, sign, out):
 
 
 @kernel()
-def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):  # noqa: PLR0912 - loops for slices
+def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits, row0=0, word0=0):  # noqa: PLR0912 - loops
     """Fill the first n silhouette edges (coordinates times zoom) into bits (height, words), 64 pixels a word.
 
-    lines (5, E) and planes (height, words, 4) are scratch. Pixel j of a row is bit j % 64 of word j // 64.
+    lines (5, E) and planes (height, words, 4) are scratch. Pixel j of a row is bit j % 64 of word j // 64. The bits may
+    be a part of the image, from row row0 and word word0 on, that contains all of the object in the image.
     """
     height, words = bits.shape
     width = np.uint64(64 * words)
-    n, top, bottom = 0, float(height), 0.0
+    first_row, last_row, first_column = float(row0), float(row0 + height), 64.0 * word0
+    n, top, bottom = 0, last_row, first_row
     for k in range(n_edges):  # those that cross the middle of a row, without branches: none is predictable
         a, b, weight = np.uint64(edges[0, k]), np.uint64(edges[1, k]), edges[2, k]
         x0, y0, x1, y1 = uvz[0, a] * zoom, uvz[1, a] * zoom, uvz[0, b] * zoom, uvz[1, b] * zoom
         up = y0 > y1
         upper_x, upper_y = x1 if up else x0, y1 if up else y0
         lower_x, lower_y = x0 if up else x1, y0 if up else y1
-        first = max(0.0, np.ceil(upper_y - 0.5))
-        last = min(float(height), np.ceil(lower_y - 0.5))
+        first = max(first_row, np.ceil(upper_y - 0.5))
+        last = min(last_row, np.ceil(lower_y - 0.5))
         slope = (lower_x - upper_x) / (lower_y - upper_y)
         lines[0, n], lines[1, n] = first, last
         lines[2, n], lines[3, n] = fma(first + (0.5 - upper_y), slope, upper_x - 0.5), slope
@@ -130,7 +132,7 @@ def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):  # noqa: 
         crosses = first < last
         n += crosses
         top, bottom = min(top, first) if crosses else top, max(bottom, last) if crosses else bottom
-    begin, end = int(top), int(bottom)
+    begin, end = int(top) - row0, int(bottom) - row0
     for row in range(height):
         for word in range(words):
             bits[row, word] = _UINT64_ZERO
@@ -142,8 +144,8 @@ def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):  # noqa: 
         x, slope, weight = lines[2, k], lines[3, k], lines[4, k]
         times = int(abs(weight)) // 2 if closed else int(abs(weight))
         down = _UINT64_ZERO if weight > 0.0 else _ALL_BITS
-        for row in range(np.uint64(lines[0, k]), np.uint64(lines[1, k])):
-            column = np.uint64(max(np.ceil(min(x, 1e6)), 0.0))
+        for row in range(np.uint64(lines[0, k] - first_row), np.uint64(lines[1, k] - first_row)):
+            column = np.uint64(max(np.ceil(min(x, 1e6)) - first_column, 0.0))
             x += slope
             if column >= width:
                 continue
@@ -173,12 +175,29 @@ def mismatch(bits, observed, valid):
     return float(total)
 
 
-@kernel("f3 f2 f1 f2 f2 i2 b f2 u3")
-def silhouettes(R, centre, scale, vertices, planes, edges, closed, K, bits):
+def silhouettes(
+    R: np.ndarray,
+    centre: np.ndarray,
+    scale: np.ndarray,
+    vertices: np.ndarray,
+    planes: np.ndarray,
+    edges: np.ndarray,
+    closed: bool,
+    K: np.ndarray,
+    bits: np.ndarray,
+    first: np.ndarray | None = None,
+) -> None:
     """Render masks of one object in many poses.
 
-    R (P, 3, 3), centre (P, 3), scale (P,), K (P, 4) -> bits (P, height, W).
+    R (P, 3, 3), centre (P, 3), scale (P,), K (P, 4) -> bits (P, height, W), which may be parts of the images, from the
+    rows and words ``first`` (P, 2) on, that contain all of the object in the image.
     """
+    first = np.zeros((len(R), 2), dtype=np.int64) if first is None else first
+    _render_silhouettes(R, centre, scale, vertices, planes, edges, closed, K, first, bits)
+
+
+@kernel("f3 f2 f1 f2 f2 i2 b f2 i2 u3")
+def _render_silhouettes(R, centre, scale, vertices, planes, edges, closed, K, first, bits):
     uvz = np.empty(vertices.shape)
     sign = np.empty(planes.shape[1] + 1, np.int64)
     edge = np.empty((3, edges.shape[1] + 1), np.int64)
@@ -189,7 +208,7 @@ def silhouettes(R, centre, scale, vertices, planes, edges, closed, K, bits):
     for p in range(len(R)):
         if project(vertices, R[p], centre[p], scale[p], K[p], uvz):
             n = silhouette_edges(planes, edges, R[p], centre[p], scale[p], sign, edge)
-            rasterise(uvz, edge, n, closed, 1.0, lines, counters, bits[p])
+            rasterise(uvz, edge, n, closed, 1.0, lines, counters, bits[p], first[p, 0], first[p, 1])
         else:
             for row in range(bits.shape[1]):
                 for word in range(bits.shape[2]):
@@ -205,7 +224,7 @@ def pack(masks: np.ndarray) -> np.ndarray:
 
 def unpack(bits: np.ndarray, width: int) -> np.ndarray:
     """Unpack bits (..., H, words) to boolean masks (..., H, width)."""
-    return np.unpackbits(bits.view(np.uint8), axis=-1, bitorder="little")[..., :width].astype(bool)
+    return np.unpackbits(bits.view(np.uint8), axis=-1, bitorder="little", count=width).view(bool)
 
 
 U, V, Z, NX, NY, ROW_DISTANCE, ROW_WEIGHT = range(7)

@@ -35,7 +35,7 @@ from getagrip.hands.model import (
     root_transform,
 )
 from getagrip.io import arrays
-from getagrip.io.images import read_png
+from getagrip.io.images import read_mask
 from getagrip.provenance import EXTRAPOLATED_HANDS_KEY, Provenance, Source, assumed, estimated, join_sources
 from getagrip.readers.datasets.mano_tracks import load_mano_hand
 from getagrip.readers.trackers.estimates import ONE_CAMERA_NOTE, OPPOSITE_SIDE, Estimate, Estimates, Request
@@ -390,10 +390,8 @@ def _choose_by_mask(seen: Sequence[Float[ndarray, "N 2"]], frame: int, request: 
 
 def fraction_in_mask(path: Path, points: Float[ndarray, "N 2"], request: Request) -> float:
     """Compute the fraction of points [px] that are inside a hand mask. Raises ``InputError``."""
-    mask = read_png(path, request.size) != 0
     u, v = np.floor(points).astype(int).T
-    inside = (u >= 0) & (v >= 0) & (u < request.size[0]) & (v < request.size[1])
-    return float(np.mean(inside & mask[np.where(inside, v, 0), np.where(inside, u, 0)]))
+    return float(np.mean(read_mask(path, request.size).at(v, u)))
 
 
 def _project_hand(hand: Estimate, request: Request) -> Float[ndarray, "N 2"]:

@@ -54,7 +54,7 @@ from getagrip.report.pictures.panels import (
 from getagrip.report.pictures.result_view import View, angle_curve, candidate_view, result_times
 from getagrip.report.pictures.stored_results import smooth_windows
 from getagrip.result import Reconstruction
-from getagrip.result.findings import SUCCESS_DEFINITION
+from getagrip.result.findings import format_probability
 
 ARRAY_TYPE_CODES = {"float32": "f", "uint16": "H", "uint32": "I", "uint8": "B"}
 """Types of the arrays in a page, as ``parts/page.js`` reads them."""
@@ -184,10 +184,7 @@ def timeline_data(view: View, shown: Int[ndarray, "n"]) -> Json:
 def describe_result(view: View, label: str, evaluation: Evaluation, record: Json) -> Json:
     """Return the page's fields of a result."""
     result, clip = view.result, view.clip
-    main = [
-        {"name": f"probability right {where}", "value": f"{right}{right.keeping}", "meaning": right.meaning}
-        for where, right in result.probabilities.items()
-    ]
+    main = _main_probability(result)
     if not np.isnan(result.mean_iou):
         main.append({"name": "IOU", "value": f"{100 * result.mean_iou:.1f} %"})
     main += _main_metric_rows(evaluation.headline, bool(evaluation.metrics_of_grasps))
@@ -202,7 +199,6 @@ def describe_result(view: View, label: str, evaluation: Evaluation, record: Json
         "notes": [
             *_describe_segments(result),
             *map(str, result.notes),
-            *[f"probability: {SUCCESS_DEFINITION}"] * bool(probability_meanings(result)),
         ],
         "candidates": [{"energy": energy} for energy in result.candidates.energy.tolist()],
         "version": str(record.get("software", {}).get("getagrip", "")),
@@ -222,6 +218,17 @@ def _describe_segments(result: Reconstruction) -> list[str]:
             how += f", probability right {segment.probability_right or 'unknown'}"
         out.append(f"{segment.state}{side}: frames {segment.first} to {segment.last}{met}{how}")
     return out
+
+
+def _main_probability(result: Reconstruction) -> list[dict[str, str]]:
+    """Return one number for both reference frames; what else is known of them is folded."""
+    known = result.probabilities
+    if not known:
+        return []
+    value = ", ".join(f"{format_probability(right.value)}{'*' if right.beyond else ''}" for right in known.values())
+    frames = ", ".join(where.split()[-1] for where in known)
+    name = f"probability right: {frames}{' (* extrapolated)' if '*' in value else ''}"
+    return [{"name": name, "value": value, "meaning": "\n".join(map(": ".join, probability_meanings(result).items()))}]
 
 
 def _main_metric_rows(metrics: Mapping[str, float | None], of_grasps: bool) -> list[dict[str, str]]:
@@ -288,9 +295,11 @@ def result_tables(view: View, evaluation: Evaluation, record: Json) -> list[dict
 
 def probability_meanings(result: Reconstruction) -> dict[str, str]:
     """Explain the probabilities of a result, or of a timeline's first grasp, by "right in the hand" and the like."""
-    of_grasps = [segment.probability_right for segment in result.segments if segment.probability_right is not None]
-    known = [*result.probabilities.items(), *(("in the hand", right) for right in of_grasps[:1])]
-    return {f"right {where}": right.meaning for where, right in known}
+    of_grasps = (segment.probability_right for segment in result.segments if segment.probability_right is not None)
+    meanings = {f"right {where}": f"{it}{it.keeping}; {it.meaning}" for where, it in result.probabilities.items()}
+    if (first := next(of_grasps, None)) is not None:
+        meanings["right in the hand"] = first.meaning
+    return meanings
 
 
 def unit_of(metric: Metric) -> str:

@@ -52,12 +52,19 @@ class Column {
     for (const { name, value, meaning } of main) {
       this.part(".main").append(element("div", { title: meaning }, element("dd", {}, value), element("dt", {}, name)));
     }
-    const remarks = findings.map(({ serious, check, message }) => [serious ? "serious" : "note", check, message]);
     const shown = candidates.length > 1 ? "; the candidates below show it" : "";  // of a timeline there is one only
-    if (ambiguous) remarks.unshift(["note", "ambiguous", `another pose explains the masks almost as well${shown}`]);
-    for (const [kind, check, message] of remarks) {
-      this.part(".warnings").append(element("li", { class: kind }, element("b", {}, kind), ` ${check}: ${message}`));
-    }
+    const other = { check: "ambiguous", message: `another pose explains the masks almost as well${shown}` };
+    this.findings("serious", "serious finding", findings.filter(({ serious }) => serious));
+    this.findings("note", "note", [...(ambiguous ? [other] : []), ...findings.filter(({ serious }) => !serious)]);
+  }
+
+  /** What speaks against the result, folded; open if it is serious. */
+  findings(kind, words, found) {
+    if (!found.length) return;
+    const checks = [...new Set(found.map(({ check }) => check))].join(", ");
+    const summary = element("summary", {}, element("b", {}, `${found.length} ${words}${found.length > 1 ? "s" : ""}`), ` ${checks}`);
+    const messages = found.map(({ check, message }) => element("li", {}, element("b", {}, check), ` ${message}`));
+    this.part(".warnings").append(element("details", { class: kind, open: kind === "serious" }, summary, element("ul", {}, ...messages)));
   }
 
   contours(size, colours) {
