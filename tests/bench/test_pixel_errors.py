@@ -55,6 +55,8 @@ def test_the_truth_has_no_errors(shown: Any) -> None:
     assert errors.object.right
     assert errors.right_among_candidates
     assert errors.mask_iou == 1.0
+    assert errors.true_pose_iou is not None
+    assert errors.true_pose_iou > 0.99
     assert errors.frames == 4
     for each in (errors.object, errors.nearest_candidate):
         found = (each.add_mm, each.add_percent, each.along_mm, each.across_mm, each.rotation_deg)
@@ -62,6 +64,15 @@ def test_the_truth_has_no_errors(shown: Any) -> None:
     for hand in (errors.hand_found, errors.hand_solved):
         assert hand is not None
         assert np.allclose((hand.joints_mm, hand.along_mm, hand.palm_deg, hand.tilt_deg), 0.0, atol=1e-4)
+
+
+def test_masks_that_contradict_the_truth_are_told_from_a_wrong_pose(shown: Any) -> None:
+    clip, masks, truth, result = shown
+    half = np.asarray(masks.object).copy()
+    half[:, :, half.any(axis=(0, 1)).nonzero()[0].mean().astype(int) :] = False
+    blamed = measure(truth, clip, result, Masks(half, np.asarray(masks.ignore))).true_pose_iou
+    assert blamed is not None
+    assert 0.2 < blamed < 0.8
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -96,6 +107,7 @@ def test_errors_are_up_to_symmetries() -> None:
     assert (errors.object.add_mm, errors.object.rotation_deg) == pytest.approx((0.0, 0.0), abs=0.1)
     assert errors.hand_found is None
     assert errors.mask_iou is None
+    assert errors.true_pose_iou is None
 
 
 def test_the_size_that_a_draft_gave_the_mesh_is_undone(shown: Any) -> None:

@@ -19,6 +19,7 @@ from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.io.array_data import ArrayData
+from getagrip.metrics.mask import iou_of_poses
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import Symmetries, find_symmetries
 from getagrip.result import Reconstruction
@@ -126,6 +127,8 @@ class PixelErrors:
         frames: number of frames of the result.
         iou: mean IOU of the result's silhouettes with the draft's masks: what the fit sees.
         mask_iou: median IOU of the draft's masks with the true ones; None where these are unknown.
+        true_pose_iou: mean IOU of the true poses' silhouettes with the draft's masks; where it is below ``iou``, masks
+            of object or hand are to blame for a wrong pose. None without masks.
         object: of the result.
         candidates: of each kept candidate, the result first.
         hand_found: of the hand that the fit started from; None without known joints.
@@ -141,6 +144,7 @@ class PixelErrors:
     hand_found: HandErrors | None
     hand_solved: HandErrors | None
     said: Said
+    true_pose_iou: float | None = None
 
     @property
     def right_among_candidates(self) -> bool:
@@ -177,7 +181,11 @@ def measure(truth: PixelTruth, clip: Clip, result: Reconstruction, masks: Masks 
     overlap = None
     if truth.masks is not None and masks is not None:
         overlap = mask_overlap(masks.object, truth.masks[truth.rows(clip.frames)])
-    return PixelErrors(len(rows), result.mean_iou, overlap, own, tuple(each), found, solved, said_by(result))
+    of_truth = None
+    if masks is not None:
+        of_clip = truth.T_cam_obj[truth.rows(clip.frames)]
+        of_truth = float(np.nanmean(iou_of_poses(truth.mesh, 1.0, of_clip, clip.K, masks).full))
+    return PixelErrors(len(rows), result.mean_iou, overlap, own, tuple(each), found, solved, said_by(result), of_truth)
 
 
 def object_errors(

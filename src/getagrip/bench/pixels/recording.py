@@ -60,9 +60,10 @@ DRAFT_CODE = ("bench/pixels", "bench/sources/recording.py", "cli/draft.py", "cli
 CONTOUR_COLOURS = {"truth": (40, 200, 60), "result": (255, 120, 0)}
 """Colours of contours in pictures, red, green and blue."""
 HEADINGS = (
-    "view", "hands", "masks", "depth", "frames", "masks, IOU", "IOU", "ADD, mm", "ADD, %", "right", "along the ray, mm",
-    "across, mm", "rotation, °", "right candidate", "nearest candidate, mm", "hand, joints, mm", "hand, depth, mm",
-    "solved hand, depth, mm", "palm's tilt, °", "right in hand, %", "right in camera, %", "refused by",
+    "view", "hands", "masks", "depth", "frames", "masks, IOU", "IOU", "IOU of the truth", "ADD, mm", "ADD, %", "right",
+    "along the ray, mm", "across, mm", "rotation, °", "right candidate", "nearest candidate, mm", "hand, joints, mm",
+    "hand, depth, mm", "solved hand, depth, mm", "palm's tilt, °", "right in hand, %", "right in camera, %",
+    "refused by",
 )  # fmt: skip
 ALL_VIEWS_LABEL = "all"
 
@@ -316,7 +317,7 @@ def _cells(runs: Sequence[RecordingScores]) -> list[str]:
     serious = list(dict.fromkeys(name for each in done for name in each["said"]["serious"]))
     refused = sum(each["said"]["refused"] for each in done) + len(runs) - len(done)
     return [
-        median("", "frames", 0), median("", "mask_iou", 2), median("", "iou", 2),
+        median("", "frames", 0), median("", "mask_iou", 2), median("", "iou", 2), median("", "true_pose_iou", 2),
         median("object", "add_mm", 1), median("object", "add_percent", 1),
         counted([each["object"]["right"] for each in done]),
         median("object", "along_mm", 1), median("object", "across_mm", 1), median("object", "rotation_deg", 0),
