@@ -169,6 +169,7 @@ def make_filmed_scene(clip: FilmedClip) -> tuple[Scene, Float[ndarray, "V 3"] | 
     T_base = grasper.approach(draw_near_grip(usual, GRIP_DEG, grasper, rng))
     moved = _window(draw_measured_motion(grasper, T_base, grasped, _whole_frames(rng), rng, MOTIONS[clip.split]), rng)
     T_world_cam, T_world_obj, T_world_hand = _draw_poses(clip, moved, grasped, rng)
+    table = float(se3.transform(T_world_obj[0], grasped.vertices)[:, 2].min())
     posed = _with_reach(moved.posed, grasper.opened())
     T_grasped_mesh, size = align_similarity(mean, grasped, resize=True)
     T_cam_world = se3.inverse(T_world_cam)
@@ -182,7 +183,7 @@ def make_filmed_scene(clip: FilmedClip) -> tuple[Scene, Float[ndarray, "V 3"] | 
         fps=FILM_FPS,
         frames=tuple(f"{n + 1:06d}" for n in range(frames)),
         times=np.arange(frames) / FILM_FPS,
-        world=World(T_world_cam, np.array([0.0, 0.0, 1.0])),
+        world=World(T_world_cam, np.array([0.0, 0.0, 1.0]), support=table),
         size=FILM_SIZE_PX,
         K=np.tile(K, (frames, 1, 1)),
         mesh=mean,

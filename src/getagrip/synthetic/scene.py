@@ -215,7 +215,7 @@ def mirror_scene(scene: Scene) -> Scene:
     mirrored_clip = replace(
         clip,
         side="left",
-        world=clip.world and World(flip @ clip.world.T_world_cam @ flip, clip.world.up),
+        world=clip.world and World(flip @ clip.world.T_world_cam @ flip, clip.world.up, clip.world.support),
         mesh=mirror_mesh(clip.mesh),
         hand=hand,
         truth=Truth(flip @ truth.T_cam_obj @ own, truth.scale, hand.T_cam_hand, hand.vertices),
