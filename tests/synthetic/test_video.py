@@ -60,10 +60,10 @@ def test_the_table_is_the_support_where_the_clip_states_one(scene: Scene) -> Non
     """So that an object that lies on it touches its shadow; else nothing reaches down to it."""
     world = scene.clip.world
     assert world is not None
-    free = _Bodies.of(scene)
+    free = _Bodies.of(scene, VideoLook.draw(2))
     assert free.table_height < se3.transform(world.T_world_cam[0], free.vertices(0.0))[:, 2].min()
     supported = replace(scene, clip=replace(scene.clip, world=replace(world, support=0.125)))
-    assert _Bodies.of(supported).table_height == 0.125
+    assert _Bodies.of(supported, VideoLook.draw(2)).table_height == 0.125
 
 
 def test_bodies_shade_the_table_below_them_and_nothing_else(scene: Scene) -> None:
