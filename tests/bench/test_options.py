@@ -10,6 +10,7 @@ import pytest
 
 from getagrip.bench.ablations import ABLATIONS
 from getagrip.bench.grasps import GraspTrial
+from getagrip.bench.options import ABLATION_NAMES
 from getagrip.bench.sequences.timelines import ALL_NOISE_LEVELS, TIMELINE_NOISE_LEVELS
 from getagrip.cli import main
 from getagrip.cli.bench import BENCHES
@@ -71,6 +72,7 @@ def test_an_unknown_preset_is_refused_before_a_folder_is_claimed(
 
 
 def test_the_commands_ablations_are_those_that_exist(run: Run) -> None:
+    assert tuple(ABLATIONS) == ABLATION_NAMES
     assert all(name in words(run("bench", "dexycb", "--help")[1]) for name in ABLATIONS)
     assert all(source.dataset in words(run("bench", "--help")[1]) for _, source in BENCHES)
 

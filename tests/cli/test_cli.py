@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ import pytest
 import getagrip
 from getagrip import __main__
 from getagrip.cli import command_groups, main
+from getagrip.cli.bench import BENCHES
 from getagrip.cli.command import Command
 from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.result import read_result
@@ -328,13 +329,23 @@ def test_the_program_is_installed_with_it() -> None:
 
 @pytest.mark.slow
 def test_help_loads_nothing_heavy() -> None:
+    """Not of any command, but for import and figure, whose options are declared with readers and drawings."""
+    groups = command_groups(Command, Command).values()
+    names = [get_args(command)[1].name for group in groups for command in group]
+    calls = [name.split() for name in names if name not in ("import", "figure")]
+    calls += [["bench", source.dataset] for _, source in BENCHES]
     code = (
         "import sys, getagrip\n"
         "from getagrip.cli import main\n"
-        "try: main(['reconstruct', '--help'])\n"
-        "except SystemExit: pass\n"
-        "heavy = {'numpy', 'numba', 'scipy', 'trimesh', 'cv2', 'matplotlib', 'igl'} & set(sys.modules)\n"
-        "sys.exit(','.join(heavy) or 0)"
+        f"for call in {calls}:\n"
+        "    try: main([*call, '--help'])\n"
+        "    except SystemExit: pass\n"
+        "    heavy = {'numpy', 'numba', 'scipy', 'trimesh', 'cv2', 'matplotlib', 'igl'} & set(sys.modules)\n"
+        "    if heavy: sys.exit(f'{call}: {heavy}')\n"
+        "for name in ('import', 'import dexycb', 'figure'):\n"
+        "    try: main([*name.split(), '--help'])\n"
+        "    except SystemExit: pass\n"
+        "    if 'scipy.spatial' in sys.modules or 'matplotlib' in sys.modules: sys.exit(name)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")

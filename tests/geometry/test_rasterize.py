@@ -143,7 +143,7 @@ def test_pictures_show_mesh_and_background(background):
     vertices, faces = cube([0.0, 0.0, 0.6])
     picture = render_rgb([(vertices, faces, (1.0, 0.0, 0.0))], K, SIZE, background)
     empty = render_rgb([], K, SIZE, background)
-    assert picture.shape == (36, 48, 3)
+    assert (picture.shape, picture.flags.c_contiguous) == ((36, 48, 3), True)
     outline = depth_and_face(vertices, faces, K, SIZE)[1] >= 0
     assert np.all(picture[18, 24, 1:] == 0)
     assert picture[18, 24, 0] > 80
@@ -161,3 +161,14 @@ def test_a_packed_rendering_is_the_rendering(seed: int, near: bool) -> None:
     mask = render_coverage(vertices, faces, K, SIZE)
     np.testing.assert_array_equal(mask, depth_and_face(vertices, faces, K, SIZE)[1] >= 0)
     np.testing.assert_array_equal(render_packed(vertices, faces, K, SIZE).unpacked, mask)
+
+
+def test_a_mesh_looks_the_same_beside_another_and_at_the_border():
+    background = np.random.default_rng(0).integers(0, 256, (36, 48, 3)).astype(np.uint8)
+    one, other = ((*cube([x, y, 0.9]), (1.0, 0.0, 0.0)) for x, y in ((-0.56, -0.36), (0.52, 0.41)))
+    alone, beside, empty = (render_rgb(meshes, K, SIZE, background) for meshes in ([one], [other], []))
+    assert (alone != empty)[0, 0].any()
+    assert (beside != empty)[-1, -1].any()
+    np.testing.assert_array_equal(empty, background)
+    both = np.where(alone == empty, beside, alone)
+    np.testing.assert_array_equal(render_rgb([one, other], K, SIZE, background), both)

@@ -72,7 +72,8 @@ def import_clips(
     ``Dataset.parts``, ``UsageError`` where the folder's clips were cut differently, and ``GetagripError`` where the
     ledger cannot be written.
     """
-    jobs = [ImportJob(part, out, only) for part in dataset.parts(print_note) if part.name in share.shard]
+    parts = [part for part in dataset.parts(print_note) if only is None or dataset.may_make(part, only)]
+    jobs = [ImportJob(part, out, only) for part in parts if part.name in share.shard]
     cut = dataset.cut_record()
     claim_folder(out, cut)
     files.remove_stale_folders(out)
@@ -80,9 +81,9 @@ def import_clips(
     engine = Engine(work=import_part, lost=_lost_import, entry=_import_entry, options=repr(dataset))
     with (
         Ledger(ledger_folder(out, share.ledger)) as ledger,
-        closing(share.ended(engine, jobs, len(jobs), ledger, dataset.parts_are)) as parts,
+        closing(share.ended(engine, jobs, len(jobs), ledger, dataset.parts_are)) as ended,
     ):
-        for imported in parts:
+        for imported in ended:
             for outcome in imported.clips:
                 if outcome.state == "failed":
                     print_outcome(outcome, debug)

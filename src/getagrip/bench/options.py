@@ -12,15 +12,20 @@ from getagrip.errors import unknown_choice_error
 from getagrip.fitting.methods import METHODS
 from getagrip.io.options import Flag
 
+ABLATION_NAMES = (
+    "physical", "occlusion", "axis", "inits", "hand-noise", "hand-refinement", "evidence", "wrong-evidence",
+    "hand-flips", "true-hands", "mask-noise", "mask-gaps", "wrong-masks", "other-mesh", "scale", "sca", "inputs",
+    "final", "final-evidence", "wrong-input", "departures",
+)  # fmt: skip
+"""Names of ``bench.ablations.ABLATIONS``, which load the solver."""
+
 
 def _methods_help(_: str) -> str:
     return f"(of {', '.join(METHODS)}; default: all of getagrip's but paper...)"
 
 
 def _ablations_help(_: str) -> str:
-    from getagrip.bench.ablations import ABLATIONS
-
-    return f"(one of {', '.join(ABLATIONS)}; default: none)"
+    return f"(one of {', '.join(ABLATION_NAMES)}; default: none)"
 
 
 @dataclass(frozen=True)

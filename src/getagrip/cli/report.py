@@ -133,7 +133,6 @@ def report_one(job: ReportJob) -> Reported:
 
 def _write_result_pages(job: ReportJob) -> IndexRow:
     from getagrip.metrics.evaluate import evaluate, read_result_clip_masks
-    from getagrip.report.film import write_film
     from getagrip.report.pages import index_row, write_page
     from getagrip.report.pictures.result_picture import write_report
     from getagrip.report.pictures.result_view import View
@@ -147,6 +146,8 @@ def _write_result_pages(job: ReportJob) -> IndexRow:
     if job.root is None:
         write_report(result, clip, masks, folder / REPORT_PICTURE, evaluation.metrics)
     if request.mp4:
+        from getagrip.report.film import write_film
+
         write_film(view, folder / REPORT_VIDEO)
     return request.keep.marked(index_row(job.name, view, evaluation, (folder / REPORT_PAGE).is_file()), result)
 

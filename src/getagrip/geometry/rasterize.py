@@ -250,8 +250,7 @@ def render_rgb(
     """
     width, height = size
     behind = background / 255.0 if isinstance(background, ndarray) else np.array(background or (1.0, 1.0, 1.0))
-    behind = np.broadcast_to(behind, (height, width, 3))
-    picture = np.repeat(np.repeat(behind.astype(np.float32), 2, axis=0), 2, axis=1)
+    picture = np.broadcast_to(behind, (height, width, 3)).astype(np.float32, order="C")
     if meshes:
         vertices, faces = _concatenate_surfaces([(v, f) for v, f, _ in meshes])
         brightness = _lambert(vertices, np.concatenate([vertex_normals(v, f) for v, f, _ in meshes]))
@@ -260,9 +259,14 @@ def render_rgb(
         _, face = depth_and_face(vertices, faces, K2, (2 * width, 2 * height))
         values = np.concatenate([brightness[:, None], colours], axis=1)
         lit = interpolate_vertex_values(vertices, faces, K2, face, values)
-        picture[face >= 0] = np.clip(lit[:, :1] * lit[:, 1:], 0.0, 1.0)
-    mean = (picture[::2, ::2] + picture[::2, 1::2] + picture[1::2, ::2] + picture[1::2, 1::2]) / 4.0
-    return np.asarray(np.round(255.0 * mean), dtype=np.uint8)
+        covered = face >= 0
+        filled = (np.flatnonzero(covered.any(axis=axis)) // 2 for axis in (1, 0))
+        box = tuple(slice(at[0], at[-1] + 1) if at.size else slice(0, 0) for at in filled)
+        fine = np.repeat(np.repeat(picture[box], 2, axis=0), 2, axis=1)
+        twice = tuple(slice(2 * side.start, 2 * side.stop) for side in box)
+        fine[covered[twice]] = np.clip(lit[:, :1] * lit[:, 1:], 0.0, 1.0)
+        picture[box] = (fine[::2, ::2] + fine[::2, 1::2] + fine[1::2, ::2] + fine[1::2, 1::2]) / 4.0
+    return np.asarray(np.round(255.0 * picture), dtype=np.uint8)
 
 
 def _lambert(points: Float[ndarray, "n 3"], normals: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:

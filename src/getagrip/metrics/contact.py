@@ -163,13 +163,13 @@ def close_holes(
     vertices: Float[ndarray, "*batch V 3"], faces: Int[ndarray, "F 3"]
 ) -> tuple[Float[ndarray, "*batch W 3"], Int[ndarray, "G 3"]]:
     """Close each hole, such as MANO's wrist, by a fan of faces about the mean of its border."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     edges = edge_table(faces)
     border = edges[edges[:, 3] == len(faces), :2]
     if not len(border):
         return vertices, faces
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     V = vertices.shape[-2]
     linked = coo_array((np.ones(len(border)), (border[:, 0], border[:, 1])), shape=(V, V))
     _, hole = np.unique(connected_components(linked, directed=False)[1][border[:, 0]], return_inverse=True)

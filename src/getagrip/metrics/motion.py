@@ -12,8 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
-from scipy.spatial import KDTree
-from scipy.spatial.distance import pdist
 
 ARCTIC_CONTACT_DISTANCE_M = 3e-3
 """Distance below which vertices are in contact [m]."""
@@ -38,6 +36,8 @@ class ContactPairs:
     @staticmethod
     def of(hand: Float[ndarray, "T Vh 3"], object_: Float[ndarray, "T Vo 3"]) -> ContactPairs:
         """Find the nearest vertices in each frame, in any common frame of reference [m]."""
+        from scipy.spatial import KDTree
+
         found = [KDTree(o).query(h, distance_upper_bound=np.inf) for h, o in zip(hand, object_, strict=True)]
         distance, nearest = (np.stack(part) for part in zip(*found, strict=True))
         return ContactPairs(nearest, distance)
@@ -72,6 +72,8 @@ def motion_deviation(
     apart on average. NaN without such a window. Unlike in ARCTIC's code, a window may begin with the clip's first frame
     or end with its last, as a stable grasp does.
     """
+    from scipy.spatial.distance import pdist
+
     deviations = []
     for first, last, i in _windows(pairs.touching, time):
         partners = pairs.nearest[first : last + 1, i]

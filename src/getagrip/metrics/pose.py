@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from scipy.spatial import ConvexHull, KDTree
 
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
@@ -185,6 +184,8 @@ def vsd_recall(errors: Float[ndarray, "k"]) -> float:
 
 def nearest_add(predicted: Float[ndarray, "T V 3"], true: Float[ndarray, "T V 3"]) -> Float[ndarray, "T"]:
     """Compute the mean distance of the true vertices from the nearest predicted ones (ADD-S) [m]."""
+    from scipy.spatial import KDTree
+
     some = true[:, :: -(-true.shape[1] // MAX_RECALL_VERTICES)]
     return np.array([KDTree(p).query(t)[0].mean() for p, t in zip(predicted, some, strict=True)])
 
@@ -223,6 +224,8 @@ class SymmetricErrors:
     @staticmethod
     def of(mesh: Mesh, predicted: ObjectTrack, true: ObjectTrack, symmetries: Symmetries) -> SymmetricErrors:
         """Make the errors of a mesh's poses."""
+        from scipy.spatial import ConvexHull
+
         hull = mesh.vertices[ConvexHull(mesh.vertices, qhull_options="QJ").vertices]
         return SymmetricErrors(predicted, true, hull, all_symmetries(symmetries))
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from getagrip.batch.import_dataset import import_clips
 from getagrip.cli import main
 from getagrip.clip import FINGERS, Clip, read_clip, read_masks
 from getagrip.errors import InputError, UsageError
@@ -179,6 +180,7 @@ def test_an_import_goes_on_where_it_stopped(root, tmp_path, run):
     assert (status, printed.splitlines()[-1]) == (1, "0 clips, 1 already there, 1 of 2 sequences failed")
     assert "P0000_bad" in err
     assert (made / "hand.npz").stat().st_mtime_ns == stamp
+    assert import_clips(Hot3d(root=root), tmp_path / "some", debug=False, only={HOLD}) == 0  # no other is read
     assert json.loads((made / "clip.json").read_text())["provenance"]["subject"] == "P0000"
 
 

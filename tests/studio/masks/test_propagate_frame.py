@@ -176,6 +176,29 @@ def test_what_places_say_of_a_colour_changes_steadily_and_in_a_cell_is_its_own(s
     np.testing.assert_allclose(np.interp(middle, x[0], said[0]), np.log(counts[0] / counts[1]), atol=0.01)
 
 
+def test_nearby_colours_are_read_bilinearly_and_from_within_the_image_wherever_a_pixel_came_from() -> None:
+    rng = np.random.default_rng(0)
+    bins, cells = N_COLOUR_BINS**3, N_IMAGE_CELLS**2
+    counts = rng.uniform(1.0, 9.0, (2, cells * bins)).astype(np.float32)
+    at = rng.integers(0, bins, (5, 6)).astype(np.int32)
+    came = [rng.uniform(-20.0, 180.0, at.shape).astype(np.float32) for _ in range(2)]
+    came[0][0, :3] = np.nan, 1e30, -1e30
+    keys = ColourHistogram(np.zeros((2, bins), np.float32))
+    found = colour_log_ratio(at, keys, LocalColourHistogram((160, 120), counts), (came[0], came[1]))
+    u, v = (
+        np.clip(np.nan_to_num(each) * N_IMAGE_CELLS / n, 0.5, N_IMAGE_CELLS - 0.501) - 0.5
+        for each, n in zip([each.astype(float) + 0.5 for each in came], (160, 120), strict=True)
+    )
+    grid = counts.reshape(2, N_IMAGE_CELLS, N_IMAGE_CELLS, bins)
+    (i, j), own = (np.floor(v).astype(int), np.floor(u).astype(int)), np.zeros((2, *at.shape))
+    for down in (0, 1):
+        for right in (0, 1):
+            share = np.abs(1 - down - (v - i)) * np.abs(1 - right - (u - j))
+            own += share * grid[:, i + down, j + right, at]
+    own += COLOUR_PSEUDO_COUNT * KEYFRAME_COLOUR_WEIGHT / N_COLOUR_BINS
+    np.testing.assert_allclose(found, np.log(own[0] / own[1]), atol=1e-3)
+
+
 RNG = np.random.default_rng(0)
 IMAGE = cv2.GaussianBlur(RNG.integers(0, 256, (80, 100, 3)).astype(np.uint8), (0, 0), 2.0)
 IMAGE = np.clip(128 + 4.0 * (IMAGE.astype(float) - 128), 0, 255).astype(np.uint8)

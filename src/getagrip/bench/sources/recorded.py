@@ -53,6 +53,7 @@ class RecordedSource(ClipSource):
         missing = self.only is None or any(not (clips / name).exists() for name in self.only)
         if not done.exists() and missing:
             if self.only is None:
+                # Which clips there are, of which --clips takes some, is known once masks show where objects are seen.
                 note = "all clips are imported first, and kept; --only FILE imports the clips that FILE names"
                 print_note(f"{self.dataset}: {note}")
             share = share or DEFAULT_SCHEDULING

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
-from scipy.spatial.transform import Rotation, Slerp
 
 from getagrip.clip.match_frames import frames_of, rows_in_order, rows_of_frames, stem_of
 from getagrip.clip.read_arrays import ASPECT_RATIO_TOLERANCE, check_shape
@@ -143,6 +142,8 @@ class CameraPath(ArrayData):
         if len(at) == 1:
             return np.tile(T, (len(frames), 1, 1)), filled
         t = np.stack([np.interp(wanted, at, T[:, axis, 3]) for axis in range(3)], axis=1)
+        from scipy.spatial.transform import Rotation, Slerp
+
         return se3.rigid(Slerp(at, Rotation.from_matrix(T[:, :3, :3]))(wanted).as_matrix(), t), filled
 
     def K_at(

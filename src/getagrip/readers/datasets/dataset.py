@@ -6,7 +6,7 @@ command's help. ``getagrip.cli.datasets`` lists the readers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol
 
@@ -62,6 +62,10 @@ class Dataset:
     def parts(self, note: Note) -> Sequence[Part]:
         """List the unread parts. Raises ``UsageError`` for wrong options, ``InputError`` where no part is found."""
         raise NotImplementedError
+
+    def may_make(self, part: Part, names: Set[str]) -> bool:
+        """Return whether a part may make a clip of one of some names, as far as is known before it is read."""
+        return True
 
     def cut_record(self) -> dict[str, object] | None:
         """Return the record of how clips are cut to stable grasps, for the list beside them; None for uncut clips.

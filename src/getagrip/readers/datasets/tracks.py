@@ -186,6 +186,11 @@ def subject_from_clip_name(clip_name: str) -> str:
     return subject
 
 
+def is_clip_of_sequence(clip_name: str, subject: str, sequence: str) -> bool:
+    """Return whether a clip's name is that of a track of a sequence."""
+    return clip_name.startswith(CLIP_NAME_SEPARATOR.join([subject, sequence, ""]))
+
+
 def intrinsics_from_opencv(K: Float[ndarray, "3 3"], scale: float = 1.0) -> Float[ndarray, "3 3"]:
     """Convert OpenCV's intrinsics to an image ``scale`` times as large.
 

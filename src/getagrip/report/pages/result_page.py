@@ -51,7 +51,7 @@ from getagrip.report.pictures.panels import (
     STATE_COLOURS,
     TRUTH_COLOUR,
 )
-from getagrip.report.pictures.result_view import View, angle_curve, candidate_view, result_times
+from getagrip.report.pictures.result_view import View, angle_curve, candidate_views, result_times
 from getagrip.report.pictures.stored_results import smooth_windows
 from getagrip.result import Reconstruction
 from getagrip.result.findings import format_probability
@@ -60,7 +60,7 @@ ARRAY_TYPE_CODES = {"float32": "f", "uint16": "H", "uint32": "I", "uint8": "B"}
 """Types of the arrays in a page, as ``parts/page.js`` reads them."""
 ARRAY_ALIGNMENT_BYTES = 8
 """Alignment of arrays that JavaScript requires."""
-SCRIPT_ESCAPES = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
+SCRIPT_ESCAPES = {letter: f"\\u{ord(letter):04x}" for letter in "<>&"}
 
 
 def build_document(
@@ -90,7 +90,9 @@ def build_document(
 def json_for_script(data: Mapping[str, object]) -> str:
     """Write JSON for a script element, without characters that end or begin an element."""
     compact = json.dumps(json.loads(files.to_json(data)), separators=(",", ":"), ensure_ascii=True)
-    return compact.translate(SCRIPT_ESCAPES)
+    for letter, escape in SCRIPT_ESCAPES.items():  # many times as quick as str.translate
+        compact = compact.replace(letter, escape)
+    return compact
 
 
 def pack_arrays(arrays: Mapping[str, ndarray]) -> tuple[dict[str, dict[str, object]], str]:
@@ -141,11 +143,12 @@ def write_page(view: View, evaluation: Evaluation, record: Json, path: Path) -> 
     shown = _select_page_frames(view)
     some = view.at([view.result.frames[n] for n in shown])
     surface, crops = subdivide_object(some), smooth_windows(some, FRAME_PICTURE_PX)
-    where, packed = pack_arrays(scene_data.constant_arrays(some, surface) | scene_data.per_frame_arrays(some, surface))
+    candidates = candidate_views(some)
+    constant = scene_data.constant_arrays(candidates, surface)
+    where, packed = pack_arrays(constant | scene_data.per_frame_arrays(some, surface))
     pictures = [draw_page_frame(some, n, crops, n) for n in range(len(shown))]
-    others = [candidate_view(some, rank) for rank in range(1, len(view.result.candidates.scale))]
     for n, picture in enumerate(pictures):
-        picture["others"] = [object_outline(one, n, crops, n) for one in others]
+        picture["others"] = [object_outline(one, n, crops, n) for one in candidates[1:]]
     column = describe_result(view, label, evaluation, record) | {"masked": view.masks is not None}
     column |= {"arrays": where, "packed": packed, "pictures": pictures}
     column["plots"].append(gap_plot(surface_gap(view)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ from getagrip.report.pictures.panels import (
     silhouette_lines,
     window_intrinsics,
 )
-from getagrip.report.pictures.result_view import View, candidate_view
+from getagrip.report.pictures.result_view import View
 from getagrip.report.pictures.stored_results import smooth_track
 
 FRAME_PICTURE_PX, FRAME_JPEG_QUALITY = 480, 78
@@ -75,13 +75,15 @@ def svg_paths(lines: Iterable[Float[ndarray, "_n 2"]]) -> str:
     return "".join(out)
 
 
-def constant_arrays(view: View, surface: Mesh) -> dict[str, ndarray]:
+def constant_arrays(candidates: Sequence[View], surface: Mesh) -> dict[str, ndarray]:
     """Return the arrays that do not depend on the frames a page loads, as ``parts/viewer.js`` reads them.
 
-    Metres; poses are 4x4 matrices of all frames. ``object_vertices`` are unscaled: ``scale``, ``T_hand_obj`` and
-    ``axis`` have an entry for each candidate. ``other_hand_known`` is 1 in the frames of the other hand. ``focus`` is
-    the point to look at, in each camera frame; ``extent`` the approximate diameter of hands and object together.
+    ``candidates`` are a result's ``candidate_views``: ``scale``, ``T_hand_obj`` and ``axis`` have an entry for each.
+    Metres; poses are 4x4 matrices of all frames. ``object_vertices`` are unscaled. ``other_hand_known`` is 1
+    in the frames of the other hand. ``focus`` is the point to look at, in each camera frame; ``extent`` the approximate
+    diameter of hands and object together.
     """
+    view = candidates[0]
     clip, result = view.clip, view.result
     hands = [np.mean([vertices.mean(axis=0) for vertices, _ in view.hands(n)], axis=0) for n in range(len(clip))]
     middles = [
@@ -101,8 +103,7 @@ def constant_arrays(view: View, surface: Mesh) -> dict[str, ndarray]:
         out |= {"other_hand_faces": other.track.faces, "other_hand_known": other.known}
         out["T_cam_other_hand"] = other.track.T_cam_hand
     if result.axis is not None:
-        each = [candidate_view(view, rank) for rank in range(len(result.candidates.scale))]
-        out["axis"] = np.stack([_axis_endpoints(one) for one in each])
+        out["axis"] = np.stack([_axis_endpoints(one) for one in candidates])
     if clip.world is not None:
         out["T_world_cam"] = clip.world.T_world_cam
         if clip.world.up is not None:

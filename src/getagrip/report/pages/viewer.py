@@ -48,7 +48,7 @@ from getagrip.report.pages.result_page import (
 from getagrip.report.pages.scene_data import FRAME_PICTURE_PX, draw_page_frame
 from getagrip.report.pictures.contact_colours import decimate_view, subdivide_object, surface_gap
 from getagrip.report.pictures.panels import input_windows
-from getagrip.report.pictures.result_view import View, candidate_view
+from getagrip.report.pictures.result_view import View, candidate_view, candidate_views
 from getagrip.report.pictures.stored_results import (
     WINDOW_MARGIN_FACTOR,
     WINDOW_SMOOTHING_S,
@@ -123,7 +123,7 @@ class OpenColumn:
     def about(self) -> Json:
         """Return the column's data that all frames share."""
         metrics = {k: float(v) for k, v in self.column.record.get("metrics", {}).items() if isinstance(v, int | float)}
-        arrays, packed = pack_arrays(scene_data.constant_arrays(self.view, self.surface))
+        arrays, packed = pack_arrays(scene_data.constant_arrays(candidate_views(self.view), self.surface))
         known = Evaluation.recorded(self.view.clip, self.view.result.method, metrics)
         said = describe_result(self.view, self.column.label, known, self.column.record)
         more = {"result": bool(self.column.record), "masked": self.at(self.sampled[:1]).masks is not None}

@@ -145,6 +145,11 @@ def candidate_view(view: View, rank: int) -> View:
     return replace(view, result=replace(other, findings=(), probability_right=None, probability_right_in_camera=None))
 
 
+def candidate_views(view: View) -> list[View]:
+    """Return the view of each candidate, the result's first."""
+    return [candidate_view(view, rank) for rank in range(len(view.result.candidates.scale))]
+
+
 def fit_hinge_axis(T_hand_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"]) -> Axis | None:
     """Fit the axis of poses (Eq. 4), with angles relative to the first frame [rad]; None for a single pose."""
     if len(T_hand_obj) < 2:

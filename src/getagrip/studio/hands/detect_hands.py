@@ -88,7 +88,7 @@ class HandDetectionFiles:
         if not path.is_file():
             return None
         image = decode_image(path, "", files.read_bytes(path), MAX_FOOTAGE_SIDE_PX)
-        return np.asarray(image.reshape(*image.shape[:2], -1).any(axis=-1))
+        return np.asarray(image != 0 if image.ndim == 2 else image.any(axis=-1))
 
     @cached_property
     def word(self) -> str:

@@ -129,7 +129,7 @@ def _grabcut_labels(
     colour, own = lab[..., 1:] - LAB_GREY, np.median(skin, axis=0)[1:] - LAB_GREY if len(skin) else np.zeros(2)
     along, whole = colour @ own, own @ own
     coloured = along > MIN_SHADOW_CHROMA_RATIO * whole
-    glare = (colours.max(axis=-1) >= OVEREXPOSURE_THRESHOLD) & ~coloured
+    glare = (np.max(cv2.split(colours), axis=0) >= OVEREXPOSURE_THRESHOLD) & ~coloured
     pale = (along < MIN_SKIN_CHROMA_RATIO * whole) & (whole > MIN_PALM_CHROMA**2) & ~glare
     labels = np.full(colours.shape[:2], cv2.GC_BGD, np.uint8)
     possible = (maybe > 0) & ~not_hand & ~pale & ((off < NON_SKIN_SIGMAS) | coloured)
@@ -174,7 +174,8 @@ def _skin_colour_distance(
     middle = np.median(skin, axis=0)
     spread = np.maximum(1.48 * np.median(np.abs(skin - middle), axis=0), MIN_SKIN_COLOUR_SPREAD)
     spread[0] = max(2.0 * spread[0], shadow)  # light and shadow
-    return np.sqrt(np.sum(((lab - middle) / spread) ** 2, axis=-1))
+    apart = (lab - middle) / spread
+    return np.sqrt(np.einsum("hwc,hwc->hw", apart, apart))
 
 
 def _draw_bones(shape: Sequence[int], points: Float[ndarray, "21 2"], radius: float) -> UInt8[ndarray, "h w"]:
@@ -207,4 +208,4 @@ def _remove_small_components(found: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"
         return found
     areas = stats[:, cv2.CC_STAT_AREA].astype(float)
     areas[0] = 0.0
-    return np.asarray(np.isin(labels, np.flatnonzero(areas > 0.05 * areas.max())))
+    return np.asarray((areas > 0.05 * areas.max())[labels])

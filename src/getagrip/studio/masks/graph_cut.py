@@ -7,7 +7,6 @@ of both sides are histograms: of the key frames, over the whole image, and of th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -21,30 +20,27 @@ from getagrip.compiling import kernel
 def cut_steps(cost: ndarray, edge: ndarray, u: ndarray, rounds: int) -> None:
     """Minimise the sum of cost u + edge |grad u| over 0 <= u <= 1, from ``u`` (h, w) and into it."""
     height, width = u.shape
-    step = np.float32(1.0 / np.sqrt(8.0))
+    step, zero, one, two = np.float32(1.0 / np.sqrt(8.0)), np.float32(0.0), np.float32(1.0), np.float32(2.0)
     bar = u.copy()
-    px, py = np.zeros_like(u), np.zeros_like(u)
+    px, py = (
+        np.zeros((height, width + 1), np.float32),
+        np.zeros((height + 1, width), np.float32),
+    )
     for _ in range(rounds):
+        for i in range(height):  # rows without a branch are compiled to vector instructions
+            now, below, limit, x, y = bar[i], bar[min(i + 1, height - 1)], edge[i], px[i, 1:], py[i + 1]
+            for j in range(width - 1):
+                across, down = x[j] + step * (now[j + 1] - now[j]), y[j] + step * (below[j] - now[j])
+                share = limit[j] / max(limit[j], np.sqrt(across * across + down * down))
+                x[j], y[j] = share * across, share * down
+            j = width - 1
+            y[j] = min(max(y[j] + step * (below[j] - now[j]), -limit[j]), limit[j])
         for i in range(height):
+            now, value, price, x, y, above = bar[i], u[i], cost[i], px[i], py[i + 1], py[i]
             for j in range(width):
-                x, y = px[i, j], py[i, j]
-                if j + 1 < width:
-                    x += step * (bar[i, j + 1] - bar[i, j])
-                if i + 1 < height:
-                    y += step * (bar[i + 1, j] - bar[i, j])
-                length = np.sqrt(x * x + y * y) / edge[i, j]
-                if length > 1.0:
-                    x, y = x / length, y / length
-                px[i, j], py[i, j] = x, y
-        for i in range(height):
-            for j in range(width):
-                spread = px[i, j] + py[i, j]
-                if j > 0:
-                    spread -= px[i, j - 1]
-                if i > 0:
-                    spread -= py[i - 1, j]
-                new = min(max(u[i, j] + step * (spread - cost[i, j]), np.float32(0.0)), np.float32(1.0))
-                bar[i, j], u[i, j] = np.float32(2.0) * new - u[i, j], new
+                spread = x[j + 1] - x[j] + y[j] - above[j]
+                new = min(max(value[j] + step * (spread - price[j]), zero), one)
+                now[j], value[j] = two * new - value[j], new
 
 
 N_COLOUR_BINS = 12
@@ -118,26 +114,37 @@ class LocalColourHistogram(NamedTuple):
     def of(at: Int32[ndarray, "h w"], inside: Mask, counted: Mask) -> LocalColourHistogram:
         """Count the ``counted`` pixels of an image, from the bins of their colours."""
         height, width = inside.shape
-        y, x = np.mgrid[:height, :width]
-        row, column = y * N_IMAGE_CELLS // max(height, N_IMAGE_CELLS), x * N_IMAGE_CELLS // max(width, N_IMAGE_CELLS)
-        at = (row * N_IMAGE_CELLS + column) * N_COLOUR_BINS**3 + at
+        row, column = (np.arange(n, dtype=np.int32) * N_IMAGE_CELLS // max(n, N_IMAGE_CELLS) for n in (height, width))
+        at = (row[:, None] * N_IMAGE_CELLS + column) * N_COLOUR_BINS**3 + at
         shape = (N_IMAGE_CELLS,) * 2 + (N_COLOUR_BINS,) * 3
         sides = [_count_bins(at[side], shape) for side in (inside & counted, ~inside & counted)]
         return LocalColourHistogram((width, height), np.stack(sides))
 
 
-def _bilinear_cells(
-    size: tuple[int, int], x: Float32[ndarray, "h w"], y: Float32[ndarray, "h w"]
-) -> Iterator[tuple[Int[ndarray, "h w"], Float32[ndarray, "h w"]]]:
-    """Yield the four cells around each place, and their bilinear weights."""
-    cells = (
-        np.clip((each + 0.5) * N_IMAGE_CELLS / max(length, N_IMAGE_CELLS) - 0.5, 0.0, N_IMAGE_CELLS - 1.001)
-        for each, length in zip((x, y), size, strict=True)
-    )
-    (u, column), (v, row) = (np.modf(each.astype(np.float32)) for each in cells)
-    for i, across in enumerate((1 - u, u)):
-        for j, down in enumerate((1 - v, v)):
-            yield ((row + j) * N_IMAGE_CELLS + column + i).astype(np.int64), across * down
+@kernel("n2 s2 s2 s2 i i s3")
+def _add_cell_counts(
+    at: ndarray, counts: ndarray, x: ndarray, y: ndarray, width: int, height: int, sides: ndarray
+) -> None:
+    """Add to the ``sides`` (2, h, w) of pixels the counts of their colours in the four cells around (x, y), bilinearly.
+
+    ``width`` and ``height`` are the image's, whose cells ``counts`` are (``LocalColourHistogram``).
+    """
+    bins = N_COLOUR_BINS**3
+    last = np.float32(N_IMAGE_CELLS - 1.001)
+    for i in range(at.shape[0]):
+        for j in range(at.shape[1]):
+            u = (x[i, j] + np.float32(0.5)) * np.float32(N_IMAGE_CELLS / max(width, N_IMAGE_CELLS)) - np.float32(0.5)
+            v = (y[i, j] + np.float32(0.5)) * np.float32(N_IMAGE_CELLS / max(height, N_IMAGE_CELLS)) - np.float32(0.5)
+            u, v = min(max(np.float32(0.0), u), last), min(max(np.float32(0.0), v), last)  # NaN becomes 0
+            column, row = int(u), int(v)
+            u, v = u - np.float32(column), v - np.float32(row)
+            first = (row * N_IMAGE_CELLS + column) * bins + at[i, j]
+            below = first + N_IMAGE_CELLS * bins
+            for side in range(2):
+                some = counts[side]
+                above = some[first] + u * (some[first + bins] - some[first])
+                under = some[below] + u * (some[below + bins] - some[below])
+                sides[side, i, j] += above + v * (under - above)
 
 
 def _count_bins(at: Int[ndarray, "n"], shape: tuple[int, ...]) -> Float32[ndarray, "m"]:
@@ -161,8 +168,9 @@ def colour_log_ratio(
     """
     sides = KEYFRAME_COLOUR_WEIGHT * keys.counts[:, at] + COLOUR_PSEUDO_COUNT * KEYFRAME_COLOUR_WEIGHT / N_COLOUR_BINS
     if before is not None and came is not None:
-        for cell, share in _bilinear_cells(before.size, *came):
-            sides = sides + share * before.counts[:, cell * N_COLOUR_BINS**3 + at]
+        x, y = (np.ascontiguousarray(each, np.float32) for each in came)
+        sides = np.ascontiguousarray(sides, np.float32)
+        _add_cell_counts(np.ascontiguousarray(at), before.counts, x, y, *before.size, sides)
     return np.asarray(np.log(sides[0] / sides[1]), np.float32)
 
 
@@ -183,8 +191,8 @@ def overlapping_components(mask: Mask, before: Mask) -> Mask:
     """Return the components of a mask that overlap with a mask ``before``."""
     import cv2
 
-    _, parts = cv2.connectedComponents(mask.astype(np.uint8))
-    return np.asarray(mask & np.isin(parts, np.unique(parts[before])))
+    count, parts = cv2.connectedComponents(mask.astype(np.uint8))
+    return np.asarray(mask & (np.bincount(parts[before], minlength=count) > 0)[parts])
 
 
 def edge_cost(image: Image) -> Float32[ndarray, "h w"]:

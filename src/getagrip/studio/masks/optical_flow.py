@@ -95,7 +95,8 @@ def is_other_shot(before: Image, after: Image, came: Origins) -> bool:
     import cv2
 
     expected = cv2.remap(before, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-    return bool(np.median(cv2.absdiff(expected[::2, ::2], after[::2, ::2]).mean(axis=-1)) > SHOT_CHANGE_THRESHOLD)
+    apart = cv2.absdiff(np.asarray(expected)[::2, ::2], after[::2, ::2])
+    return bool(np.median(np.sum(cv2.split(apart), axis=0, dtype=np.float32)) > 3.0 * SHOT_CHANGE_THRESHOLD)
 
 
 def warp_values(

@@ -203,6 +203,8 @@ def test_import_writes_clips_and_goes_on_where_it_stopped(root, own, tmp_path, c
     assert "20200709_000000" in printed.err
     assert "Traceback" not in printed.err
     assert (out / NAME / "hand.npz").stat().st_mtime_ns == stamp
+    assert import_clips(DexYcb(root=root), tmp_path / "some", debug=False, only={NAME}) == 0  # no other is read
+    assert (tmp_path / "some" / NAME / "hand.npz").exists()
 
 
 @needs(DATA / "dexycb")

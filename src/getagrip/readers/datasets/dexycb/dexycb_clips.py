@@ -11,7 +11,7 @@ which have the same camera.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -38,7 +38,13 @@ from getagrip.readers.datasets.dexycb.dexycb_files import (
     find_dexycb_sequences,
 )
 from getagrip.readers.datasets.track_files import describe_fit
-from getagrip.readers.datasets.tracks import GRASPS_WITHIN_10_MM, SequenceSource, Track, TrackPiece
+from getagrip.readers.datasets.tracks import (
+    GRASPS_WITHIN_10_MM,
+    SequenceSource,
+    Track,
+    TrackPiece,
+    is_clip_of_sequence,
+)
 from getagrip.stable_grasps.definition import MIN_GRASP_FRAMES, Definition, GraspOptions
 from getagrip.stable_grasps.grasp_lists import CLIP_NAME_SEPARATOR
 from getagrip.stable_grasps.segment_states import true_segments
@@ -166,6 +172,11 @@ class DexYcb(TrackedDataset):
         definition = self.grasps.definition()
         of = partial(dexycb_timeline_pieces, definition=definition)
         return [CutSource(source, of, definition.shortest) for source in self.sources()]
+
+    def may_make(self, part: Part, names: Set[str]) -> bool:
+        """Return whether one of the names is of the sequence, which is named <subject>/<sequence>."""
+        subject, _, sequence = part.name.partition("/")
+        return any(is_clip_of_sequence(name, subject, sequence) for name in names)
 
     def cut_record(self) -> dict[str, object] | None:
         """Return the record of how clips are cut; None for whole sequences."""

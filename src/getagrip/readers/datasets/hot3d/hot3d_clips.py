@@ -11,7 +11,7 @@ object in more frames, with the segments of both hands, by the true poses or fro
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
@@ -42,7 +42,7 @@ from getagrip.readers.datasets.cutting import (
 )
 from getagrip.readers.datasets.dataset import Note, Part
 from getagrip.readers.datasets.hot3d.hot3d_files import Hot3dRecording, find_hot3d_recordings, read_recording
-from getagrip.readers.datasets.tracks import SequenceSource, Track, TrackPiece
+from getagrip.readers.datasets.tracks import SequenceSource, Track, TrackPiece, is_clip_of_sequence
 from getagrip.stable_grasps.definition import GraspOptions
 from getagrip.stable_grasps.find import CutRules, contact_sets
 from getagrip.stable_grasps.grasp_lists import CLIP_NAME_SEPARATOR, ListedTimeline
@@ -185,6 +185,11 @@ class Hot3d(TrackedDataset):
         definition = cut.definition
         rule = "all-pairs" if definition.rule == "touch" else definition.rule
         return replace(cut, definition=replace(definition, rule=rule))
+
+    def may_make(self, part: Part, names: Set[str]) -> bool:
+        """Return whether one of the names is of the recording, which is named <subject>_<sequence>."""
+        subject, _, sequence = part.name.partition("_")
+        return any(is_clip_of_sequence(name, subject, sequence) for name in names)
 
     def cut_record(self) -> dict[str, object] | None:
         """Return the record of how clips are cut; None for timelines and whole tracks."""
