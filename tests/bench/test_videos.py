@@ -12,7 +12,7 @@ from getagrip.bench.pixels import videos
 from getagrip.bench.pixels.video_draft import ORACLES, Oracle, VideoDraft
 from getagrip.bench.pixels.videos import PLAIN, VideoBenchmark, VideoScores, VideoTrial
 from getagrip.bench.sources import Sample, sample_clips
-from getagrip.bench.sources.rendered_videos import RenderedVideos
+from getagrip.bench.sources.rendered_videos import ORACLE_NAMES, RenderedVideos
 from getagrip.cli.calls import run_call
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
@@ -64,6 +64,7 @@ def test_the_first_clips_are_taken(tmp_path: Path) -> None:
 
 
 def test_an_unknown_oracle_and_a_folder_without_scans_are_refused(tmp_path: Path) -> None:
+    assert tuple(ORACLES) == ORACLE_NAMES
     with pytest.raises(UsageError, match="--oracle"):
         VideoBenchmark(RenderedVideos(), Options(), ("luck",), run_call)
     with pytest.raises(UsageError, match=r"no \.obj file"):

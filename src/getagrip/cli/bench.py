@@ -16,7 +16,7 @@ from getagrip.bench.options import ComparisonOptions
 from getagrip.bench.sources.ho3d_sequences import Ho3dEval
 from getagrip.bench.sources.recorded import DexYcb, DexYcbSequences, DexYcbTimelines, Hot3dTimelines, TimelineSource
 from getagrip.bench.sources.recording import Recording
-from getagrip.bench.sources.rendered_videos import RenderedVideos
+from getagrip.bench.sources.rendered_videos import ORACLE_NAMES, RenderedVideos
 from getagrip.bench.sources.source import ClipFolder, ClipSource
 from getagrip.bench.sources.synthetic_clips import SyntheticSource
 from getagrip.cli.command import Command
@@ -31,13 +31,6 @@ if TYPE_CHECKING:
     from getagrip.bench.pixels.videos import VideoBenchmark
     from getagrip.bench.sequences.segments import SegmentBenchmark
     from getagrip.bench.sequences.timelines import TimelineBenchmark
-
-
-def _oracles_help(_: str) -> str:
-    from getagrip.bench.pixels.video_draft import ORACLES
-
-    return f"(of {', '.join(ORACLES)}; default: none)"
-
 
 C = TypeVar("C", bound=ClipSource)
 T = TypeVar("T", bound=TimelineSource)
@@ -150,11 +143,14 @@ class BenchTimelines(Bench[T], Generic[T]):
         return TimelineBenchmark(self.source, self.options)
 
 
+ORACLES_HINT = f"(of {', '.join(ORACLE_NAMES)}; default: none)"
+
+
 @dataclass(frozen=True, kw_only=True)
 class BenchVideos(Bench[RenderedVideos]):
     """Draft rendered videos."""
 
-    oracle: Annotated[tuple[str, ...], arg(metavar="NAME...", help_behavior_hint=_oracles_help)] = ()
+    oracle: Annotated[tuple[str, ...], arg(metavar="NAME...", help_behavior_hint=ORACLES_HINT)] = ()
     """Also draft each video with the truth in place of a stage."""
 
     def benchmark(self) -> VideoBenchmark:

@@ -17,6 +17,11 @@ if TYPE_CHECKING:
     from getagrip.batch.scheduling import SchedulingOptions
     from getagrip.synthetic.filmed import FilmedClip
 
+ORACLE_NAMES = (
+    "masks", "first-mask", "interval", "hands", "hand-size", "depth", "mesh", "masks+hands", "masks+hands+mesh",
+)  # fmt: skip
+"""Names of ``bench.pixels.video_draft.ORACLES``, which load the solver."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RenderedVideos(ClipSource):
