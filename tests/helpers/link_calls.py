@@ -20,6 +20,7 @@ import trimesh
 from getagrip import cli
 from getagrip.bench.figures import FIGURES
 from getagrip.bench.pixels.recording import DraftRequest
+from getagrip.bench.pixels.video_draft import VideoDraft
 from getagrip.bench.sequences.segments import TIME_DIRECTIONS
 from getagrip.cli.datasets import DATASETS
 from getagrip.clip import Clip, Masks, Segment, input_sha256, read_clip, write_clip
@@ -31,7 +32,7 @@ from getagrip.readers.datasets.ho3d import Ho3dEvaluation
 from getagrip.result import Reconstruction, write_result
 from getagrip.stable_grasps.find import as_listed
 from getagrip.studio.store import labels
-from getagrip.synthetic.scene import clip_name
+from getagrip.synthetic.scene import Scene, clip_name, make_scene
 from getagrip.synthetic.scene_options import SceneOptions
 from getagrip.timelines.detect.detect_segments import DetectedSegment, DetectedSegments
 from helpers.clips import small_clip
@@ -97,6 +98,7 @@ CALLS: dict[str, Sequence[str]] = {
     "bench synthetic": [f"{BENCH} --clips 1"],
     **{f"bench {name}": [f"--root root {BENCH} --split all"] for name in BENCHED},
     "bench recording": ["--root recording --hands found --out out --workers 1 --json out.json"],
+    "bench video": ["--out out --clips 1 --workers 1 --json out.json"],
     "bench dexycb-segments": ["--root root --out out --workers 1 --split all --json out.json"],
     "bench dexycb-timelines": ["--root root --out out --workers 1 --split all --preset exact"],
     "bench hot3d-timelines": ["--root root --out out --workers 1 --split all --preset exact --json out.json"],
@@ -126,6 +128,11 @@ class SmallPart:
         yield Draft(small()[0].name, small)
 
 
+@cache
+def _small_scene() -> Scene:
+    return make_scene("bottle", 0, SceneOptions(frames=2, size=(160, 120), focal=150.0))
+
+
 def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
     """Put trifles in the place of what takes long and writes nothing: servers, fits, drawings, and datasets' files."""
 
@@ -144,6 +151,13 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
         clip, masks = small()
         made = write_clip(clip, masks, request.out / "clips" / "grasp")
         write_result(true_result(clip, None), request.out / "results" / "grasp", input_sha256(made), {}, made)
+
+    class SmallDraft(VideoDraft):
+        def __init__(self, *_: object) -> None:
+            self.stages = {}
+
+        def solve(self, *_: object) -> dict[str, object]:
+            return {"failure": "not tried", "seconds": 0.1}
 
     def found(clip: Clip, *_: object, **__: object) -> DetectedSegments:
         return DetectedSegments((DetectedSegment(Segment("grasp", 0, len(clip) - 1, clip.side), 9.0),), ())
@@ -166,6 +180,8 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
         "studio.hands.load_models": lambda _: SceneNets(),
         "synthetic.scene.synthesise": made,
         "bench.comparison.ABLATION_PLOT_METRICS": ("iou",),
+        "bench.pixels.videos.VideoDraft": SmallDraft,
+        "bench.pixels.videos.make_filmed_scene": lambda _: (_small_scene(), None),
         "bench.sequences.segments._find_in_both_directions": lambda _: dict.fromkeys(TIME_DIRECTIONS, spans),
         "bench.sequences.timelines._score_noise_level": lambda *_: {"category": "box", "by": by},
         "timelines.detect.detect_segments.find_segments": found,

@@ -43,7 +43,8 @@ def test_there_is_a_picture_of_each_frame_and_a_seed_makes_them(scene: Scene, pi
 
 def test_the_object_is_where_the_truth_has_it(scene: Scene, pictures: list[ndarray]) -> None:
     """Its colours, of its paint and its label, are in the true mask; the table's are where no body is."""
-    look, masks, bodies = VideoLook.draw(2), ground_truth_masks(scene), _Bodies.of(scene)
+    look, masks = VideoLook.draw(2), ground_truth_masks(scene)
+    bodies = _Bodies.of(scene, look)
     for n, picture in enumerate(pictures):
         chroma = picture / np.maximum(picture.sum(axis=-1, keepdims=True), 1.0)
         paints = np.stack([tone / tone.sum() for tone in (look.paint, look.label)])
@@ -59,15 +60,15 @@ def test_the_table_is_the_support_where_the_clip_states_one(scene: Scene) -> Non
     """So that an object that lies on it touches its shadow; else nothing reaches down to it."""
     world = scene.clip.world
     assert world is not None
-    free = _Bodies.of(scene)
+    free = _Bodies.of(scene, VideoLook.draw(2))
     assert free.table_height < se3.transform(world.T_world_cam[0], free.vertices(0.0))[:, 2].min()
     supported = replace(scene, clip=replace(scene.clip, world=replace(world, support=0.125)))
-    assert _Bodies.of(supported).table_height == 0.125
+    assert _Bodies.of(supported, VideoLook.draw(2)).table_height == 0.125
 
 
 def test_bodies_shade_the_table_below_them_and_nothing_else(scene: Scene) -> None:
-    bodies = _Bodies.of(scene)
-    lamp = _Lamp.over(bodies, 0)
+    bodies = _Bodies.of(scene, VideoLook.draw(2))
+    lamp = _Lamp.over(bodies, 0, VideoLook.draw(2))
     T = bodies.T_world_cam(0)
     middle = T[:3, :3] @ bodies.vertices(0.0)[: len(scene.clip.hand.vertices[0])].mean(axis=0) + T[:3, 3]
     below = middle - lamp.direction * (middle[2] - bodies.table_height) / lamp.direction[2]
@@ -78,7 +79,7 @@ def test_bodies_shade_the_table_below_them_and_nothing_else(scene: Scene) -> Non
 
 def test_the_camera_sees_the_world_as_the_clip_has_it(scene: Scene) -> None:
     """Between two frames, bodies are between where they are in these."""
-    bodies = _Bodies.of(scene)
+    bodies = _Bodies.of(scene, VideoLook.draw(2))
     first, second = bodies.vertices(1.0), bodies.vertices(2.0)
     np.testing.assert_allclose(bodies.vertices(1.25), 0.75 * first + 0.25 * second, atol=1e-12)
     assert scene.clip.truth is not None

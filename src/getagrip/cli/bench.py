@@ -16,6 +16,7 @@ from getagrip.bench.options import ComparisonOptions
 from getagrip.bench.sources.ho3d_sequences import Ho3dEval
 from getagrip.bench.sources.recorded import DexYcb, DexYcbSequences, DexYcbTimelines, Hot3dTimelines, TimelineSource
 from getagrip.bench.sources.recording import Recording
+from getagrip.bench.sources.rendered_videos import ORACLE_NAMES, RenderedVideos
 from getagrip.bench.sources.source import ClipFolder, ClipSource
 from getagrip.bench.sources.synthetic_clips import SyntheticSource
 from getagrip.cli.command import Command
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from getagrip.bench.grasps import GraspBenchmark
     from getagrip.bench.job import Benchmark
     from getagrip.bench.pixels.recording import RecordingBenchmark
+    from getagrip.bench.pixels.videos import VideoBenchmark
     from getagrip.bench.sequences.segments import SegmentBenchmark
     from getagrip.bench.sequences.timelines import TimelineBenchmark
 
@@ -42,7 +44,7 @@ class Bench(Command, Generic[C]):
     out: Folder
     """Folder of clips, results, tables and plots. Called again with the same folder, it continues where it stopped."""
     count: Annotated[int | None, arg(name="clips", metavar="N", help_behavior_hint="(default: all)")] = None
-    """Use N clips, evenly sampled."""
+    """Use N clips, evenly sampled; of video, whose order is mixed, the first N."""
     json: OptionalFile = None
     """Write every number here, unrounded."""
     every_frame: Flag = False
@@ -141,6 +143,23 @@ class BenchTimelines(Bench[T], Generic[T]):
         return TimelineBenchmark(self.source, self.options)
 
 
+ORACLES_HINT = f"(of {', '.join(ORACLE_NAMES)}; default: none)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchVideos(Bench[RenderedVideos]):
+    """Draft rendered videos."""
+
+    oracle: Annotated[tuple[str, ...], arg(metavar="NAME...", help_behavior_hint=ORACLES_HINT)] = ()
+    """Also draft each video with the truth in place of a stage."""
+
+    def benchmark(self) -> VideoBenchmark:
+        from getagrip.bench.pixels.videos import VideoBenchmark
+        from getagrip.cli.calls import run_call
+
+        return VideoBenchmark(self.source, self.options, self.oracle, run_call)
+
+
 @dataclass(frozen=True, kw_only=True)
 class BenchRecording(Bench[Recording]):
     """Draft real images with known poses."""
@@ -161,6 +180,7 @@ BENCHES: tuple[tuple[object, type[ClipSource]], ...] = (
     (BenchSegments, DexYcbSequences),
     (BenchTimelines[DexYcbTimelines], DexYcbTimelines),
     (BenchTimelines[Hot3dTimelines], Hot3dTimelines),
+    (BenchVideos, RenderedVideos),
     (BenchRecording, Recording),
     (BenchGrasps[ClipFolder], ClipFolder),
 )

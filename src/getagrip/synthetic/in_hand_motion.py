@@ -167,10 +167,15 @@ def draw_hinge_motion(
 
 
 def draw_measured_motion(
-    grasper: Grasper, T_base: Float[ndarray, "4 4"], grasped: Mesh, frames: int, rng: np.random.Generator
+    grasper: Grasper,
+    T_base: Float[ndarray, "4 4"],
+    grasped: Mesh,
+    frames: int,
+    rng: np.random.Generator,
+    datasets: Sequence[str] = tuple(MOTION_STATISTICS),
 ) -> InHand:
-    """Draw a motion from the statistics of one dataset of ``MOTION_STATISTICS``."""
-    statistics = list(MOTION_STATISTICS.values())[rng.integers(len(MOTION_STATISTICS))]
+    """Draw a motion from the statistics of one of the ``datasets``, keys of ``MOTION_STATISTICS``."""
+    statistics = MOTION_STATISTICS[datasets[int(rng.integers(len(datasets)))]]
     areas = grasped.vertex_areas / grasped.vertex_areas.sum()
     centre = areas @ grasped.vertices
     size = float(np.sqrt(areas @ np.sum((grasped.vertices - centre) ** 2, axis=1) / 3.0))

@@ -155,7 +155,7 @@ def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
     other = draw_other_hand(grasper, T_cam_hand, middle, moves) if options.other_hand else None
     shown = Mesh(se3.transform(se3.inverse(T_grasped_cad), grasped.vertices), grasped.faces)
     scene = Scene(clip, shown, moved.axis, other, options)
-    return scene if options.side == "right" else _mirror_scene(scene)
+    return scene if options.side == "right" else mirror_scene(scene)
 
 
 def _independent_rng(category: str, seed: int, number: int) -> np.random.Generator:
@@ -180,21 +180,25 @@ def _draw_grip(category: str, seed: int, shaped: Shape, options: SceneOptions, g
     rng = _independent_rng(category, seed, 2)
     grips = (*kind.grips, *kind.rarer)
     usual = grips[rng.integers(len(grips))]
-    usual = replace(usual, at=tuple(shaped(np.array([usual.at]))[0]))
+    return draw_near_grip(replace(usual, at=tuple(shaped(np.array([usual.at]))[0])), options.grip_deg, grasper, rng)
+
+
+def draw_near_grip(usual: Grip, degrees: float, grasper: Grasper, rng: np.random.Generator) -> Grip:
+    """Draw a few random deviations from a grip, by a root mean square rotation, and return the one that holds best."""
     grasper = replace(grasper, hold=usual.hold)
 
     def badness(grip: Grip) -> float:
         T = grasper.approach(grip)[None]
         return looseness(grasper.gaps(grasper.close(T), T)[0], grip.hold)
 
-    return min((perturb_grip(usual, options.grip_deg, 8.0, rng) for _ in range(N_GRIP_DRAWS)), key=badness)
+    return min((perturb_grip(usual, degrees, 8.0, rng) for _ in range(N_GRIP_DRAWS)), key=badness)
 
 
 def clip_name(category: str, seed: int, options: SceneOptions) -> str:
     return f"{category}-{options.side}-{seed:04d}"
 
 
-def _mirror_scene(scene: Scene) -> Scene:
+def mirror_scene(scene: Scene) -> Scene:
     """Mirror the scene: a left hand, the object's own y axis reversed so that poses stay rigid."""
     flip = np.diag([-1.0, 1.0, 1.0, 1.0])
     own = np.diag([1.0, -1.0, 1.0, 1.0])
@@ -211,17 +215,17 @@ def _mirror_scene(scene: Scene) -> Scene:
     mirrored_clip = replace(
         clip,
         side="left",
-        world=clip.world and World(flip @ clip.world.T_world_cam @ flip, clip.world.up),
-        mesh=_mirror_mesh(clip.mesh),
+        world=clip.world and World(flip @ clip.world.T_world_cam @ flip, clip.world.up, clip.world.support),
+        mesh=mirror_mesh(clip.mesh),
         hand=hand,
         truth=Truth(flip @ truth.T_cam_obj @ own, truth.scale, hand.T_cam_hand, hand.vertices),
     )
     other = None if scene.other_hand is None else mirrored(scene.other_hand)
     turned = Axis(mirrored(axis.point), -mirrored(axis.direction), axis.angle)  # a mirror reverses rotations
-    return replace(scene, clip=mirrored_clip, object=_mirror_mesh(scene.object), axis=turned, other_hand=other)
+    return replace(scene, clip=mirrored_clip, object=mirror_mesh(scene.object), axis=turned, other_hand=other)
 
 
-def _mirror_mesh(mesh: Mesh) -> Mesh:
+def mirror_mesh(mesh: Mesh) -> Mesh:
     """Reverse a mesh's own y axis."""
     return Mesh(mesh.vertices * np.array([1.0, -1.0, 1.0]), mesh.faces[:, ::-1].copy())
 

@@ -8,7 +8,7 @@ with a highlight, one lamp with a soft shadow, procedural textures, a shutter th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -64,6 +64,12 @@ class VideoLook:
     table: Float[ndarray, "3"]
     waves: Float32[ndarray, "6 4"]
     """Directions and phases of the waves whose sum is the grain of all surfaces."""
+    lamp: Float[ndarray, "3"] = field(default_factory=lambda: LAMP_DIRECTION)
+    """Direction to the lamp in the world."""
+    sleeve_start: float = SLEEVE_START_M
+    """Distance from the wrist at which the sleeve begins [m]."""
+    colours: Float[ndarray, "V 3"] | None = None
+    """Colours of the object's vertices, of a scan, in place of paint."""
 
     @classmethod
     def draw(cls, seed: int) -> VideoLook:
@@ -96,6 +102,7 @@ class _Bodies:
         place: a place that stays with the surface [m]; patterns are functions of it.
         red: how red the skin is, 0 to 1: at knuckles and fingertips.
         cloth: 1 where the sleeve covers the forearm.
+        colours: of the vertices of a scan, else zero.
         table_height: height of the table's top in the world [m].
     """
 
@@ -105,10 +112,12 @@ class _Bodies:
     place: Float[ndarray, "V 3"]
     red: Float[ndarray, "V"]
     cloth: Float[ndarray, "V"]
+    colours: Float[ndarray, "V 3"]
+    sleeve_start: float
     table_height: float
 
     @classmethod
-    def of(cls, scene: Scene) -> _Bodies:
+    def of(cls, scene: Scene, look: VideoLook) -> _Bodies:
         """Make the bodies of a scene."""
         clip, truth = scene.clip, scene.clip.truth
         assert truth is not None
@@ -117,21 +126,23 @@ class _Bodies:
         tips = joints[[4, 8, 12, 16, 20]], joints[[3, 7, 11, 15, 19, 5, 9, 13, 17]]
         nearest = [np.linalg.norm(at_rest[:, None] - spots, axis=2).min(axis=1) for spots in tips]
         red = np.maximum(np.exp(-((nearest[0] / 0.012) ** 2)), 0.6 * np.exp(-((nearest[1] / 0.011) ** 2)))
-        arm, arm_faces, along = _forearm(joints)
+        arm, arm_faces, along = _forearm(joints, look.sleeve_start)
         n_hand, n_skin = len(at_rest), len(at_rest) + len(arm)
         faces = np.concatenate([clip.hand.faces, arm_faces + n_hand, scene.object.faces + n_skin])
         place = np.concatenate([at_rest, arm, scene.object.vertices])
         rest = np.zeros(len(place) - n_hand)
         cloth = np.concatenate(
-            [np.zeros(n_hand), (along > SLEEVE_START_M).astype(float), np.zeros(len(scene.object.vertices))]
+            [np.zeros(n_hand), (along > look.sleeve_start).astype(float), np.zeros(len(scene.object.vertices))]
         )
-        bodies = cls(scene, faces, n_skin, place, np.concatenate([red, rest]), cloth, 0.0)
+        colours = np.zeros((len(place), 3))
+        colours[n_skin:] = 0.0 if look.colours is None else look.colours
+        bodies = cls(scene, faces, n_skin, place, np.concatenate([red, rest]), cloth, colours, look.sleeve_start, 0.0)
         lowest = min(
             se3.transform(bodies.T_world_cam(n), bodies.vertices(float(n)))[:, 2].min() for n in range(0, len(clip), 3)
         )
         support = clip.world.support if clip.world is not None else None
         table = float(lowest) - TABLE_MARGIN_M if support is None else support
-        return cls(scene, faces, n_skin, place, bodies.red, cloth, table)
+        return replace(bodies, table_height=table)
 
     def T_world_cam(self, n: int) -> Float[ndarray, "4 4"]:
         """Return the camera's pose in a frame."""
@@ -148,7 +159,7 @@ class _Bodies:
         clip, truth = self.scene.clip, self.scene.clip.truth
         assert truth is not None
         assert clip.hand.joints is not None
-        hand = np.concatenate([truth.hand_vertices[n], _forearm(clip.hand.joints[n])[0]])
+        hand = np.concatenate([truth.hand_vertices[n], _forearm(clip.hand.joints[n], self.sleeve_start)[0]])
         return np.concatenate(
             [se3.transform(truth.T_cam_hand[n], hand), se3.transform(truth.T_cam_obj[n], self.scene.object.vertices)]
         )
@@ -168,9 +179,9 @@ class _Lamp:
     spots: tuple[tuple[Float[ndarray, "3 3"], Float[ndarray, "3"], Float32[ndarray, "s s"]], ...]
 
     @classmethod
-    def over(cls, bodies: _Bodies, n: int) -> _Lamp:
+    def over(cls, bodies: _Bodies, n: int, look: VideoLook) -> _Lamp:
         """Place the lamp over the bodies of a frame."""
-        direction = LAMP_DIRECTION / np.linalg.norm(LAMP_DIRECTION)
+        direction = look.lamp / np.linalg.norm(look.lamp)
         vertices = se3.transform(bodies.T_world_cam(n), bodies.vertices(float(n)))
         middle = vertices.mean(axis=0)
         radius = np.linalg.norm(vertices - middle, axis=1).max()
@@ -209,14 +220,16 @@ class _Lamp:
         return lit / np.float32(N_LAMP_SPOTS)
 
 
-def _forearm(joints: Float[ndarray, "21 3"]) -> tuple[Float[ndarray, "A 3"], Int[ndarray, "G 3"], Float[ndarray, "A"]]:
+def _forearm(
+    joints: Float[ndarray, "21 3"], sleeve_start: float
+) -> tuple[Float[ndarray, "A 3"], Int[ndarray, "G 3"], Float[ndarray, "A"]]:
     """Make a tapered tube behind the wrist, in the hand frame: vertices, faces, distance from the wrist [m]."""
     back = joints[0] - joints[9]
     back /= np.linalg.norm(back)
     across = np.cross(back, np.cross(joints[5] - joints[17], back))
     across /= np.linalg.norm(across)
     turn, along = np.linspace(0.0, 2.0 * np.pi, 33)[:-1], np.linspace(-0.015, FOREARM_LENGTH_M, 24)
-    radius = np.interp(along, FOREARM_PROFILE_M[0], FOREARM_PROFILE_M[1]) + 0.004 * (along > SLEEVE_START_M)
+    radius = np.interp(along, FOREARM_PROFILE_M[0], FOREARM_PROFILE_M[1]) + 0.004 * (along > sleeve_start)
     ring = 1.15 * np.cos(turn)[:, None] * across + 0.85 * np.sin(turn)[:, None] * np.cross(back, across)
     vertices = joints[0] + along[:, None, None] * back + radius[:, None, None] * ring
     r, c = np.meshgrid(np.arange(len(along) - 1), np.arange(32), indexing="ij")
@@ -225,16 +238,20 @@ def _forearm(joints: Float[ndarray, "21 3"]) -> tuple[Float[ndarray, "A 3"], Int
     return vertices.reshape(-1, 3), faces, np.repeat(along, 32)
 
 
-def render_video(scene: Scene, size: tuple[int, int], seed: int = 0) -> Iterator[UInt8[ndarray, "H W 3"]]:
+def render_video(
+    scene: Scene, size: tuple[int, int], seed: int = 0, look: VideoLook | None = None
+) -> Iterator[UInt8[ndarray, "H W 3"]]:
     """Render the frames of a scene as pictures, one after the other.
 
-    ``size`` is their width and height [px], to which the clip's camera is scaled; ``seed`` draws look and noise. Each
-    frame is exposed about its moment in the clip: the clip's poses are those in the middle of its blur.
+    ``size`` is their width and height [px], to which the clip's camera is scaled; ``seed`` draws the noise and, where
+    none is given, the look. Each frame is exposed about its moment in the clip: the clip's poses are those in the
+    middle of its blur.
     """
-    look, bodies, noise = VideoLook.draw(seed), _Bodies.of(scene), np.random.default_rng([seed, *b"sensor"])
+    look = VideoLook.draw(seed) if look is None else look
+    bodies, noise = _Bodies.of(scene, look), np.random.default_rng([seed, *b"sensor"])
     K = at_video_size(scene, size).clip.K[0]
     for n in range(len(scene.clip)):
-        lamp = _Lamp.over(bodies, n)
+        lamp = _Lamp.over(bodies, n, look)
         room = _draw_room(bodies, n, K, size, look, lamp)
         light = np.zeros_like(room)
         for s in range(N_SUBFRAMES):
@@ -281,11 +298,13 @@ def _draw_bodies(
     shown = face >= 0
     normals = vertex_normals(vertices, bodies.faces) @ T[:3, :3].T
     columns = [se3.transform(T, vertices), normals, bodies.place, bodies.red[:, None], bodies.cloth[:, None]]
+    columns.append(bodies.colours)
     values = interpolate_vertex_values(vertices, bodies.faces, K, face, np.concatenate(columns, axis=1))
-    point, normal, place, red, cloth = np.split(values, [3, 6, 9, 10], axis=1)
+    point, normal, place, red, cloth, own = np.split(values, [3, 6, 9, 10, 11], axis=1)
     is_object = bodies.faces[face[shown], 0] >= bodies.n_skin
     colour = _skin_colour(look, place, red[:, 0], cloth[:, 0])
-    colour[is_object] = _paint(look, place[is_object], bodies.place[bodies.n_skin :])
+    painted = look.colours is None
+    colour[is_object] = _paint(look, place[is_object], bodies.place[bodies.n_skin :]) if painted else own[is_object]
     light = room.copy()
     shine = np.where(is_object, 0.25, 0.05)
     light[shown] = _shade(point, normal, colour, lamp.lit(point), T[:3, 3], lamp.direction, shine)
@@ -379,27 +398,39 @@ def at_video_size(scene: Scene, size: tuple[int, int]) -> Scene:
     return replace(scene, clip=replace(clip, size=size, K=zoom @ clip.K))
 
 
-def write_rendered_video(scene: Scene, folder: Path, seed: int, on_frame: Callable[[], None]) -> RenderedVideo:
-    """Render a scene into a new folder, ``video.mp4`` and ``mesh.obj``; call ``on_frame`` after each frame."""
+def write_rendered_video(
+    scene: Scene,
+    folder: Path,
+    seed: int,
+    on_frame: Callable[[], None] = lambda: None,
+    size: tuple[int, int] = VIDEO_SIZE_PX,
+    look: VideoLook | None = None,
+    overwrite: bool = False,
+) -> RenderedVideo:
+    """Render a scene into a new folder, ``video.mp4`` and ``mesh.obj``; call ``on_frame`` after each frame.
+
+    ``size``, ``seed`` and ``look`` are those of ``render_video``. With ``overwrite``, a folder with an older video is
+    replaced.
+    """
 
     def watched() -> Iterator[UInt8[ndarray, "H W 3"]]:
-        for picture in render_video(scene, VIDEO_SIZE_PX, seed):
+        for picture in render_video(scene, size, seed, look):
             yield picture
             on_frame()
 
-    with files.new_folder(folder) as made:
+    with files.new_folder(folder, (VIDEO_FILE, MESH_FILE) if overwrite and folder.exists() else ()) as made:
         rate = Fraction(scene.clip.fps).limit_denominator(1000)
-        write_video(made / VIDEO_FILE, watched(), rate, VIDEO_SIZE_PX)
+        write_video(made / VIDEO_FILE, watched(), rate, size)
         write_mesh(scene.object, made / MESH_FILE)
-    return describe_rendered_video(scene, folder)
+    return describe_rendered_video(scene, folder, size)
 
 
-def describe_rendered_video(scene: Scene, folder: Path) -> RenderedVideo:
+def describe_rendered_video(scene: Scene, folder: Path, size: tuple[int, int] = VIDEO_SIZE_PX) -> RenderedVideo:
     """Return what a user would state about the video of a scene, in the folder that ``write_rendered_video`` made."""
-    truth, K, size = scene.clip.truth, at_video_size(scene, VIDEO_SIZE_PX).clip.K[0], np.array(VIDEO_SIZE_PX)
+    truth, K = scene.clip.truth, at_video_size(scene, size).clip.K[0]
     assert truth is not None
     uv = project(K, se3.transform(truth.T_cam_obj[0], scene.object.vertices))
-    low, high = np.clip([uv.min(axis=0) - BOX_MARGIN_PX, uv.max(axis=0) + BOX_MARGIN_PX], 0.0, size)
+    low, high = np.clip([uv.min(axis=0) - BOX_MARGIN_PX, uv.max(axis=0) + BOX_MARGIN_PX], 0.0, np.array(size))
     box = float(low[0]), float(low[1]), float(high[0] - low[0]), float(high[1] - low[1])
     pinhole = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
     size_mm = 1e3 * float(np.ptp(scene.object.vertices, axis=0).max())

@@ -19,7 +19,9 @@ __all__ = ["ClipSource", "Sample", "read_clip_names", "sample_clips"]
 def sample_clips(
     source: ClipSource, clips: Path, count: int | None, debug: bool, share: SchedulingOptions | None = None
 ) -> tuple[list[Sample], list[Outcome]]:
-    """Return ``count`` evenly sampled clips of a source (None: all), and the outcomes of folders without a clip.
+    """Return ``count`` clips of a source (None: all), and the outcomes of folders without a clip.
+
+    They are sampled evenly or, of a source ``in_order``, the first.
 
     A source may make its clips in the folder ``clips``, scheduled by ``share``. Raises ``UsageError`` for a count
     below 1, and the source's errors.
@@ -36,5 +38,6 @@ def sample_clips(
         failed += [Outcome(name, "failed", f"no such clip of {source.title}") for name in missing]
         found = [sample for sample in found if sample.name in source.only]
     if count is not None and count < len(found):
-        found = [found[n] for n in np.linspace(0, len(found) - 1, count).round().astype(int)]
+        evenly = np.linspace(0, len(found) - 1, count).round().astype(int)
+        found = found[:count] if source.in_order else [found[n] for n in evenly]
     return found, failed

@@ -55,6 +55,8 @@ class ClipSource:
     """Name of the dataset for users."""
     every_frame: ClassVar[bool] = False
     """True if all frames of the clips are fitted, whatever the user's options."""
+    in_order: ClassVar[bool] = False
+    """True if the clips are in a mixed order, of which ``--clips N`` takes the first N; else it takes N evenly."""
     split: Annotated[
         Split | None,
         one_of("train", "validation", "all"),

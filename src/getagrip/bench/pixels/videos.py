@@ -1,0 +1,231 @@
+"""``getagrip bench video``: drafts of rendered videos, the error of each stage, and oracles in place of stages."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from getagrip.batch.freshness import load_or_compute, software_of_method
+from getagrip.bench.job import Benchmark, BenchmarkPage, ClipScores, Trial
+from getagrip.bench.pixels.video_draft import ORACLES, Oracle, VideoDraft
+from getagrip.bench.sources import Sample
+from getagrip.bench.sources.rendered_videos import RenderedVideos
+from getagrip.errors import InputError, unknown_choice_error
+from getagrip.fitting.options import Options
+from getagrip.io.files import Json
+from getagrip.io.plugins import date_and_commit
+from getagrip.io.terminal import markdown_page, print_note
+from getagrip.studio.hands.networks import Nets, load_models
+from getagrip.studio.jobs import RunCall
+from getagrip.synthetic.filmed import (
+    FILM_FPS,
+    GRASP_FRAMES,
+    REACH_FRAMES,
+    FilmedClip,
+    draw_look,
+    make_filmed_scene,
+    read_scan,
+)
+from getagrip.synthetic.video import VIDEO_FILE, write_rendered_video
+
+VIDEO_CODE = ("bench", "studio", "synthetic", "readers", "cli")
+"""Code, besides a reconstruction's, that a record depends on."""
+PLAIN = "draft"
+"""Name, in tables and records, of the draft without an oracle."""
+STAGE_HEADINGS = (
+    "split", "videos", "hand found, %", "side right, %", "landmarks, % of hand", "joints, mm", "along ray, mm",
+    "palm, deg", "tilt, deg", "first mask, IOU", "masks, IOU", "interval off, frames", "right kept, %",
+    "right first, %", "said, %", "Brier", "CPU s",
+)  # fmt: skip
+ORACLE_HEADINGS = (
+    "split", "truth in place of", "videos", "no result", "ADD, % of diameter", "right, %", "rotation, deg",
+    "along ray, mm", "across ray, mm", "masks, IOU",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class VideoScores(ClipScores):
+    """The record of a video: errors of the stages, and of the results by oracle."""
+
+    split: str = ""
+    stages: Json = field(default_factory=dict)
+    by: Mapping[str, Json] = field(default_factory=dict)
+    seconds: float = 0.0
+    """CPU time of rendering, stages and fit, without oracles [s]."""
+
+
+@dataclass(frozen=True)
+class VideoTrial(Trial[VideoScores]):
+    """A video to draft; its record goes into ``results``."""
+
+    filmed: FilmedClip
+    oracles: tuple[str, ...]
+    options: Options
+    models: Path | None
+    run: RunCall
+
+    def failed(self, why: str, trace: str = "") -> VideoScores:
+        return VideoScores(self.name, failure=why, trace=trace, split=self.filmed.split)
+
+    def scores(self) -> VideoScores:
+        filmed, scan, nets = asdict(self.filmed), self.filmed.scan, open_networks(self.models)
+        if scan is not None:
+            mesh, colours = read_scan(scan)
+            filmed["scan"] = sha256(mesh.vertices.tobytes() + colours.tobytes()).hexdigest()
+        of = {
+            "inputs": {"filmed": filmed, "oracles": self.oracles, "simulated": nets is None},
+            "options": asdict(self.options),
+            "software": software_of_method(self.options.method, *VIDEO_CODE),
+        }
+        path = self.results / f"{self.name}.json"
+        record, again = load_or_compute(path, of, self.overwrite, partial(_draft, self, nets))
+        return VideoScores(
+            self.name, again=again, split=self.filmed.split, stages=record["stages"], by=record["by"],
+            seconds=record["seconds"],
+        )  # fmt: skip
+
+
+def open_networks(models: Path | None) -> Nets | None:
+    """Open the networks that find hands; None where no folder is stated and they are not installed.
+
+    Raises ``InputError`` for a stated folder without them.
+    """
+    try:
+        return load_models(models)
+    except InputError:
+        if models is not None:
+            raise
+        return None
+
+
+def _draft(trial: VideoTrial, nets: Nets | None) -> Json:
+    """Render a video, draft it without and with oracles, and return the content of its record."""
+    since, filmed = time.process_time(), trial.filmed
+    scene, colours = make_filmed_scene(filmed)
+    folder = trial.sample.folder
+    look = draw_look(filmed.split, filmed.seed, colours)
+    write_rendered_video(scene, folder, filmed.seed, size=scene.clip.size, look=look, overwrite=True)
+    rendered = time.process_time() - since
+    with TemporaryDirectory() as made:
+        draft = VideoDraft(filmed, scene, folder / VIDEO_FILE, Path(made), nets, trial.run)
+        by = {PLAIN: draft.solve(Oracle(), trial.options)}
+        seconds = time.process_time() - since
+        by |= {name: draft.solve(ORACLES[name], trial.options) for name in trial.oracles}
+    return {"split": filmed.split, "stages": draft.stages | {"render_seconds": rendered}, "by": by, "seconds": seconds}
+
+
+@dataclass(frozen=True)
+class VideoBenchmark(Benchmark[VideoScores]):
+    """A benchmark that drafts every video, without and with oracles. Raises ``UsageError`` for an unknown oracle."""
+
+    source: RenderedVideos
+    options: Options
+    oracles: tuple[str, ...]
+    run: RunCall
+
+    def __post_init__(self) -> None:
+        for name in self.oracles:
+            if name not in ORACLES:
+                raise unknown_choice_error("--oracle", name, ORACLES)
+
+    def trials(self, samples: Sequence[Sample], results: Path, overwrite: bool) -> list[Trial[VideoScores]]:
+        filmed = {clip.name: clip for clip in self.source.filmed()}
+        models, oracles = self.source.models, tuple(dict.fromkeys(self.oracles))
+        if open_networks(models) is None:
+            print_note("the networks that find hands are absent: landmarks are simulated by errors on real images")
+        return [
+            VideoTrial(sample, results, overwrite, filmed[sample.name], oracles, self.options, models, self.run)
+            for sample in samples
+        ]
+
+    def page(self, scores: Sequence[VideoScores]) -> BenchmarkPage | None:
+        done = [one for one in scores if not one.failure]
+        if not done:
+            return None
+        splits = [split for split in ("train", "validation") if any(one.split == split for one in done)]
+        parts = [(split, [one for one in done if one.split == split]) for split in splits]
+        stages = [STAGE_HEADINGS, *(_stage_row(*part) for part in parts)]
+        variants = (PLAIN, *dict.fromkeys(self.oracles))
+        oracles = [ORACLE_HEADINGS, *(_oracle_row(*part, name) for part in parts for name in variants)]
+        simulated = any(one.stages.get("simulated") for one in done)
+        about = [
+            f"rendered videos of {2 * REACH_FRAMES + GRASP_FRAMES} frames, {FILM_FPS:g} a second; medians over videos, "
+            "in the camera; right: mean ADD, up to symmetries, below 10 % of the diameter; no result counts as wrong",
+            *["landmarks are simulated: the networks were absent"] * simulated,
+            "along ray: of the joints' middle, of the object's centre; absolute values for the object",
+            "interval off: mean distance of first and last frame from the true ones",
+            "right kept, first: a kept candidate is right, the result is; said: mean probability in the camera; Brier: "
+            "its score",
+            f"made {date_and_commit()}",
+        ]
+        texts = {
+            "stages.md": markdown_page("Stages of rendered videos", stages, about),
+            "oracles.md": markdown_page("Rendered videos with the truth in place of a stage", oracles, about, 2),
+        }
+        content = {one.name: {"split": one.split, "stages": one.stages, "by": one.by} for one in done}
+        return BenchmarkPage("", "\n".join(texts.values()), texts, {}, content)
+
+
+def _median(values: Sequence[float | None], form: str = ".0f") -> str:
+    known = [value for value in values if value is not None and np.isfinite(value)]
+    return format(float(np.median(known)), form) if known else "–"
+
+
+def _mean(values: Sequence[float | bool | None], form: str = ".0f", factor: float = 100.0) -> str:
+    known = [float(value) for value in values if value is not None]
+    return format(factor * float(np.mean(known)), form) if known else "–"
+
+
+def _right(one: VideoScores, name: str, kept: bool = False) -> bool:
+    found = one.by[name]
+    if "failure" in found:
+        return False
+    return any(each["right"] for each in found["candidates"]) if kept else bool(found["object"]["right"])
+
+
+def _stage_row(split: str, scores: Sequence[VideoScores]) -> list[str]:
+    stages, results = [one.stages for one in scores], [one.by[PLAIN] for one in scores]
+    lifted = [stage.get("lifted") or {} for stage in stages]
+    ends = [stage.get("interval_off") for stage in stages]
+    said = [result.get("said", {}).get("in_camera") for result in results]
+    brier = [(p - _right(one, PLAIN)) ** 2 for p, one in zip(said, scores, strict=True) if p is not None]
+    return [
+        split,
+        f"{len(scores)}",
+        _mean([stage.get("hand_found", 0.0) for stage in stages]),
+        _mean([stage.get("side_right") for stage in stages]),
+        _median([100.0 * stage["landmarks_off"] if "landmarks_off" in stage else None for stage in stages], ".1f"),
+        *(_median([hand.get(key) for hand in lifted]) for key in ("joints_mm", "along_mm", "palm_deg", "tilt_deg")),
+        _median([stage.get("first_mask_iou") for stage in stages], ".2f"),
+        _median([stage.get("masks_iou") for stage in stages], ".2f"),
+        _mean([None if end is None else float(np.mean(np.abs(end))) for end in ends], ".1f", 1.0),
+        _mean([_right(one, PLAIN, kept=True) for one in scores]),
+        _mean([_right(one, PLAIN) for one in scores]),
+        _mean(said),
+        _mean(brier, ".2f", 1.0),
+        _median([one.seconds for one in scores]),
+    ]
+
+
+def _oracle_row(split: str, scores: Sequence[VideoScores], name: str) -> list[str]:
+    results = [one.by[name] for one in scores]
+    made = [result["object"] for result in results if "failure" not in result]
+    return [
+        split,
+        "nothing" if name == PLAIN else name,
+        f"{len(scores)}",
+        f"{len(results) - len(made)}",
+        _median([each["add_percent"] for each in made]),
+        _mean([_right(one, name) for one in scores]),
+        _median([each["rotation_deg"] for each in made]),
+        _median([abs(each["along_mm"]) for each in made]),
+        _median([each["across_mm"] for each in made], ".1f"),
+        _median([result.get("mask_iou") for result in results], ".2f"),
+    ]
