@@ -85,6 +85,7 @@ class Stage:
         rounds: number of times that the best hypotheses of the stage are rotated and fitted again.
         parents: number of hypotheses that are rotated.
         rotations: ranges of their rotations.
+        until_met: whether rounds end once ``starts_have_met``.
         half_turns: whether the best hypothesis is also fitted from its half turns, where these leave the surface nearly
             unchanged (``ObjectSurface.half_turns``); both are kept where their energies are ambiguous. Coarser stages
             do not tell the two apart.
@@ -98,6 +99,7 @@ class Stage:
     rounds: int = 0
     parents: int = 8
     rotations: Rotations = GLOBAL_ROTATIONS
+    until_met: bool = False
     within: float = np.inf
     half_turns: bool = False
 
@@ -118,7 +120,7 @@ class Schedule:
     relaxed_iterations: int = 3
     relaxed: int = 20
     coarse: tuple[Stage, ...] = (
-        Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=3, parents=12),
+        Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=3, parents=12, until_met=True),
         Stage(
             "middle", 64, frames=15, iterations=6, keep=6, rounds=1, parents=8, rotations=LOCAL_ROTATIONS, within=4.0
         ),
@@ -246,13 +248,10 @@ def explore_rotations(
     stage: Stage,
     threads: int = 1,
 ) -> Solution[M]:
-    """Rotate the best solutions of a stage and fit them again, in several rounds; return old and new solutions.
-
-    Rounds end early once ``starts_have_met``.
-    """
+    """Rotate the best solutions of a stage and fit them again, in several rounds; return old and new solutions."""
     rng, independent = np.random.default_rng(0), len(solution.energy)
     for _ in range(stage.rounds):
-        if stage.rotations is GLOBAL_ROTATIONS and starts_have_met(solution, independent, surface):
+        if stage.until_met and starts_have_met(solution, independent, surface):
             break
         parents = suppress_duplicates(solution.motion.poses(), solution.energy, surface, stage.parents)
         if not len(parents):
@@ -267,6 +266,8 @@ def starts_have_met(solution: Solution[M], independent: int, surface: ObjectSurf
     """Return whether two of the first ``independent`` solutions are the best pose, far ahead of all other poses."""
     energy, poses = solution.energy, solution.motion.poses()
     best = int(np.argmin(np.where(np.isfinite(energy), energy, np.inf)))
+    if not np.isfinite(energy[best]):
+        return False
     few = frame_indices(poses.R.shape[1], 3)
     R, centre = poses.R[:, few], poses.centre[:, few]
     apart = surface.rms_distance(
