@@ -97,7 +97,8 @@ class ObjectSurface:
     @cached_property
     def silhouettes(self) -> dict[int, SilhouetteMesh]:
         """Tables of the mesh for silhouettes, at each level of pixels."""
-        meshes = {64: decimate(self.coarse, MAX_FACES[64]), 128: self.coarse, 256: decimate(self.mesh, MAX_FACES[256])}
+        fine, rough = (decimate(self.mesh, MAX_FACES[level]) for level in (256, 64))  # a mesh decimated twice is worse
+        meshes = {64: rough, 128: self.coarse, 256: fine}
         return {level: SilhouetteMesh.of(mesh, self.mesh.centre) for level, mesh in meshes.items()}
 
     @cached_property

@@ -35,7 +35,7 @@ class ContactConsistencyTerm:
     delta: float = 2e-5
     """The Huber threshold [m^2]: a tenth of a millimetre at a distance of ten centimetres."""
     exact: bool = False
-    """Whether the Hessian between frames is dense and exact (``Quadratic.cross``), not bounded (``Quadratic.ties``)."""
+    """True for a dense, exact Hessian between frames (``Quadratic.cross``); False for ``Quadratic.ties``."""
     name: str = "consistency"
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:

@@ -134,7 +134,7 @@ class Quadratic:
     cross: Float[ndarray, "B N P N P"] | None = None
     """Hessian between frames, of terms that tie frames to each other; ``[:, n, :, n]`` is zero, see ``H``."""
     ties: Ties | None = None
-    """The same of a term that ties few pairs."""
+    """Hessian between pairs of frames, of a term that ties few of them."""
 
     @staticmethod
     def zero(poses: PosesInCamera, size: int = 7) -> Quadratic:

@@ -59,7 +59,7 @@ class Free(Batch):
         return self.mixed(before, before + 1, (new - old[before]) / (old[before + 1] - old[before]))
 
     def mixed(self, first: Int[ndarray, "N"], second: Int[ndarray, "N"], share: Float[ndarray, "N"]) -> Free:
-        """Go the ``share`` of the way from the first frames to the second ones; beyond 0 and 1 this extrapolates."""
+        """Interpolate by ``share`` between the first frames and the second; below 0 and above 1, extrapolate."""
         R, centre = self.R[:, first], self.centre[:, first]
         turn = se3.log_so3(self.R[:, second] @ np.swapaxes(R, -1, -2))
         centre = centre + share[:, None] * (self.centre[:, second] - centre)

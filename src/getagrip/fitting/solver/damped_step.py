@@ -15,7 +15,7 @@ from getagrip.fitting.energy import Quadratic, Ties
 from getagrip.fitting.motion import Prior
 
 NO_PAIR = np.zeros(0, int)
-LEAST_PIVOT = 1e-14
+MIN_PIVOT_FRACTION = 1e-14
 """Smallest pivot of a Cholesky factor, as a share of the diagonal: what rounding leaves of a singular matrix."""
 
 
@@ -202,7 +202,7 @@ def _cholesky(A):
                 x -= A[i, k] * A[j, k]
             A[i, j] = x / A[j, j]
         x = A[i, i]
-        least = LEAST_PIVOT * x
+        least = MIN_PIVOT_FRACTION * x
         for k in range(i):
             x -= A[i, k] * A[i, k]
         A[i, i] = np.sqrt(x if x > least else least)

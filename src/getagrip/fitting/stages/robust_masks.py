@@ -212,7 +212,7 @@ def medoid_poses(poses: PosesInHand, points: Float[ndarray, "P 3"]) -> PosesInHa
     """Choose for each frame of one hypothesis the medoid of its pose and its neighbours' poses."""
     x = float(poses.scale[0]) * points @ np.swapaxes(poses.R[0], -1, -2) + poses.centre[0, :, None]
     N, steps = len(x), np.arange(-N_NEIGHBOUR_FRAMES, N_NEIGHBOUR_FRAMES + 1)
-    apart = np.zeros((2 * N_NEIGHBOUR_FRAMES + 1, N))  # of each frame, from the frame so many steps later
+    apart = np.zeros((2 * N_NEIGHBOUR_FRAMES + 1, N))  # of each frame, to the frame this number of steps later
     for step in range(1, min(len(apart), N)):
         apart[step, :-step] = np.sqrt(np.mean(np.sum((x[step:] - x[:-step]) ** 2, axis=-1), axis=-1))
     near = np.arange(N)[:, None] + steps
