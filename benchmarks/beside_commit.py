@@ -24,6 +24,9 @@ from typing import Any
 from benchmarks import store
 from benchmarks.store import Table, of_cells
 from benchmarks.timing import circumstances
+from getagrip.geometry.mesh import Mesh, decimate, edge_length, subdivide_surface
+from getagrip.geometry.mesh_files import write_mesh
+from getagrip.synthetic.scene import synthesise
 
 COMMIT = "660d4867"
 CATEGORIES = "mug", "pan", "kettle", "scissors", "spoon", "bowl", "box", "bottle"
@@ -39,18 +42,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 import numpy as np
 import getagrip
-from getagrip.geometry.mesh import decimate, edge_length, subdivide_surface
 
 def made(ask):
     if not ask["clip"].startswith("synthetic:"):
         clip = getagrip.read_clip(Path(ask["clip"]))
         return clip, getagrip.read_masks(clip)
     clip, masks = getagrip.synthesise(ask["clip"].split(":")[1], 0, getagrip.SceneOptions(**ask.get("scene", {})))
-    if "faces" in ask:
-        area = float(clip.mesh.vertex_areas.sum())
-        fine = getagrip.Mesh(*subdivide_surface(clip.mesh.vertices, clip.mesh.faces, edge_length(area, 20_000)))
-        clip = replace(clip, mesh=decimate(fine, ask["faces"]))
-    return clip, masks
+    return replace(clip, mesh=getagrip.read_mesh(ask["mesh"])) if "mesh" in ask else clip, masks
 
 def answer(ask):
     clip, masks = made(ask)
@@ -80,7 +78,7 @@ with TemporaryDirectory() as scratch:
 
 
 Ask = dict[str, Any]
-"""A request: clip, its scene, faces, options, repeats, and whether reading counts and the pose is scored."""
+"""A request: clip, its scene, faces, options, repeats, and mesh, whether reading counts and the pose is scored."""
 Answer = dict[str, Any]
 
 
@@ -116,8 +114,8 @@ def tables(clips: Sequence[Path]) -> dict[str, Table]:
     """Measure: clips with their stages, and growth with frames, faces and pixels."""
     asked: dict[str, Ask] = {name: {"clip": SYNTHETIC + name, "score": True} for name in CATEGORIES}
     asked |= {path.name: {"clip": str(path.absolute()), "score": True} for path in clips}
-    grown = growing()
     with TemporaryDirectory() as scratch, ExitStack() as ends:
+        grown = growing(Path(scratch))
         codes = Code(earlier_source(Path(scratch))), Code(Path("src").absolute())
         for code in codes:
             ends.callback(code.process.kill)
@@ -146,15 +144,24 @@ def tables(clips: Sequence[Path]) -> dict[str, Table]:
     }
 
 
-def growing() -> dict[str, Ask]:
-    """Return requests of growing size: frames fitted together, faces, and images read and fitted."""
+def growing(scratch: Path) -> dict[str, Ask]:
+    """Return requests of growing size: frames fitted together, faces, and images read and fitted.
+
+    Meshes go into ``scratch``.
+    """
     kettle = SYNTHETIC + "kettle"
     asks: dict[str, Ask] = {
         f"{n} frames together": {"clip": kettle, "scene": {"frames": n}, "options": {"frames": n}, "repeats": 1}
         for n in FRAMES
     }
     asks["1000 frames, 30 together"] = {"clip": kettle, "scene": {"frames": 1000}, "repeats": 1}
-    asks |= {f"{n} faces": {"clip": kettle, "faces": n} for n in FACES}
+    mesh = synthesise("kettle", 0)[0].mesh
+    length = edge_length(float(mesh.vertex_areas.sum()), max(FACES))
+    fine = Mesh(*subdivide_surface(mesh.vertices, mesh.faces, length))
+    for n in FACES:
+        path = scratch / f"{n}.obj"
+        write_mesh(decimate(fine, n), path)
+        asks[f"{n} faces"] = {"clip": kettle, "mesh": str(path)}
     for width, height in SIZES:
         scene = {"size": [width, height], "focal": 600.0 * height / 480.0}
         asks[f"{width} x {height}, with reading"] = {"clip": kettle, "scene": scene, "read": True}
