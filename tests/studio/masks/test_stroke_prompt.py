@@ -41,6 +41,22 @@ def strokes(*lines: list[tuple[float, float]]) -> tuple[ndarray, ...]:
     return tuple(np.array(line, float) for line in lines)
 
 
+def test_a_face_of_the_hands_colour_is_the_objects_where_no_finger_can_be() -> None:
+    rng = np.random.default_rng(0)
+    image = rng.normal((40.0, 45.0, 40.0), 8.0, (*SIZE[::-1], 3))
+    thing, face, hand, fingers = (np.zeros(SIZE[::-1], np.uint8) for _ in range(4))
+    cv2.fillConvexPoly(thing, np.array([[40, 50], [70, 22], [112, 46], [80, 84]]), 1)
+    cv2.fillConvexPoly(face, np.array([[42, 52], [58, 38], [92, 62], [78, 82]]), 1)
+    for arm, width in ((hand, 32), (fingers, 40)):
+        cv2.line(arm, (92, 64), (130, 118), 1, width)
+    image[thing > 0] = rng.normal((10.0, 80.0, 140.0), 8.0, (int(thing.sum()), 3))
+    image[face > 0] = image[hand > 0] = 254.0  # overexposed
+    shown, image = (thing > 0) & (hand == 0), np.clip(image, 0, 255).astype(np.uint8)
+    box = (38, 20, 76, 66)
+    assert iou(segment_box(image, box, hand > 0) == OBJECT_LABEL, shown) < 0.7
+    assert iou(segment_box(image, box, hand > 0, fingers > 0) == OBJECT_LABEL, shown) > 0.9
+
+
 @pytest.mark.parametrize("line", [[(80.0, 60.0)], [(65.0, 60.0), (95.0, 62.0)]])
 def test_a_click_or_a_stroke_finds_an_object_of_one_colour(line: list[tuple[float, float]]) -> None:
     image, mask = scene()

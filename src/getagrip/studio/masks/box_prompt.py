@@ -56,6 +56,9 @@ BOX_EROSION_PX = 9
 """Side of the square by which the found mask is eroded before its motion is measured [px]."""
 MAX_STATIC_FRACTION = 0.2
 """Largest fraction of the found mask that is removed because it does not move with the object."""
+MIN_OUTSTANDING_AREA_RATIO = 0.25
+"""Area of a part that differs from the background, as a fraction of the found object's, above which it is the object's,
+too: an overexposed face. Smaller ones may be shadows."""
 MAX_EMPTY_STRIP_FRACTION = 0.15
 """Widest empty strip beside object and hand in the object's box, as a fraction of the box's width or height."""
 
@@ -120,7 +123,12 @@ def downscale_image(image: UInt8[ndarray, "H W 3"], scale: float) -> UInt8[ndarr
 
 
 def segment_box_by_motion(
-    images: Images, n: int, interval: tuple[int, int], box: Box, hand: Bool[ndarray, "h w"] | None = None
+    images: Images,
+    n: int,
+    interval: tuple[int, int],
+    box: Box,
+    hand: Bool[ndarray, "h w"] | None = None,
+    fingers: Bool[ndarray, "H W"] | None = None,
 ) -> UInt8[ndarray, "H W"]:
     """Return the label map of ``segment_box``, without pixels that stay with the background while the object moves.
 
@@ -129,15 +137,14 @@ def segment_box_by_motion(
     """
     import cv2
 
-    labels = segment_box(images(n), box, hand)
+    labels = segment_box(images(n), box, hand, fingers)
     found, seen = labels == OBJECT_LABEL, labels == HAND_LABEL
     inner = cv2.erode(found.astype(np.uint8), np.ones((BOX_EROSION_PX, BOX_EROSION_PX), np.uint8)) > 0
     motion = click_motion_log_ratio(images, n, interval, inner, seen) if inner.any() else None
     if motion is None or not (motion[found] < STATIC_LOG_RATIO_THRESHOLD).any():
         return labels
-    less = segment_box(
-        images(n), box, hand, found & (motion > MOVING_LOG_RATIO_THRESHOLD), motion < STATIC_LOG_RATIO_THRESHOLD
-    )
+    surely, ground = found & (motion > MOVING_LOG_RATIO_THRESHOLD), motion < STATIC_LOG_RATIO_THRESHOLD
+    less = segment_box(images(n), box, hand, fingers, surely, ground)
     return less if np.mean(less[found] == OBJECT_LABEL) > 1.0 - MAX_STATIC_FRACTION else labels
 
 
@@ -145,6 +152,7 @@ def segment_box(
     image: Image,
     box: Box,
     hand: Bool[ndarray, "h w"] | None = None,
+    fingers: Bool[ndarray, "H W"] | None = None,
     surely: Bool[ndarray, "H W"] | None = None,
     ground: Bool[ndarray, "H W"] | None = None,
 ) -> UInt8[ndarray, "H W"]:
@@ -154,6 +162,8 @@ def segment_box(
         image: RGB.
         box: the object's [px].
         hand: visible pixels of the detected hand, of any size; None: not known.
+        fingers: pixels at which a finger may be (``finger_pixels``). Where known, a large part of the box that differs
+            from the background, beside the object and away from fingers, is the object's, whatever its colours.
         surely: pixels known to be the object's, unless they are the hand's, or apart from the object's largest part.
         ground: pixels known not to be the object's.
 
@@ -199,9 +209,24 @@ def segment_box(
         reached = seen
         seen = remove_object_colours(reached, at, ColourHistogram.of(image, found, found), skin)
         found = cut(seen, surely | (reached & ~seen & inside))
+    if fingers is not None:
+        outside = beside & ~fingers
+        unlike = ColourHistogram.of(image, outside, outside).counts[0][at] < UNSEEN_COLOUR_PROBABILITY
+        found |= _outstanding_parts(possible & ~found & ~seen & ~fingers & unlike, found)
     out = np.where(seen, HAND_LABEL, 0).astype(np.uint8)
     out[found] = OBJECT_LABEL
     return out
+
+
+def _outstanding_parts(unlike: Bool[ndarray, "H W"], found: Bool[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
+    """Return the parts ``unlike`` the background that touch the ``found`` object and are not small beside it."""
+    import cv2
+
+    opened = cv2.morphologyEx(unlike.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    count, parts, stats, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
+    touched = np.bincount(parts[cv2.dilate(found.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0], minlength=count) > 0
+    large = stats[:, cv2.CC_STAT_AREA] > MIN_OUTSTANDING_AREA_RATIO * np.count_nonzero(found)
+    return np.asarray((touched & large & (np.arange(count) > 0))[parts])
 
 
 def empty_side(labels: UInt8[ndarray, "H W"], box: Box) -> tuple[str, float] | None:
