@@ -13,7 +13,14 @@ from numpy import ndarray
 
 from getagrip.errors import UsageError
 from getagrip.studio.masks import box_prompt, stroke_prompt
-from getagrip.studio.masks.box_prompt import Box, empty_side, segment_box, segment_box_by_motion
+from getagrip.studio.masks.box_prompt import (
+    Box,
+    box_to_slices,
+    empty_side,
+    first_mask_finding,
+    segment_box,
+    segment_box_by_motion,
+)
 from getagrip.studio.masks.stroke_prompt import apply_strokes, click_motion_log_ratio, keyframe_label_maps
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL, FrameLabels, Labels
 
@@ -55,6 +62,25 @@ def test_a_face_of_the_hands_colour_is_the_objects_where_no_finger_can_be() -> N
     box = (38, 20, 76, 66)
     assert iou(segment_box(image, box, hand > 0) == OBJECT_LABEL, shown) < 0.7
     assert iou(segment_box(image, box, hand > 0, fingers > 0) == OBJECT_LABEL, shown) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("box", "cut"), [((46, 26, 68, 68), False), ((30, 10, 100, 99), False), ((65, 26, 60, 68), True)]
+)
+def test_a_mask_that_its_box_cuts_off_is_noticed(box: Box, cut: bool) -> None:
+    image, mask = scene()
+    labels = np.zeros_like(NOTHING)
+    labels[box_to_slices(box, SIZE)] = mask[box_to_slices(box, SIZE)]
+    assert ("does the object reach beyond it?" in first_mask_finding(image, labels, box)) == cut
+
+
+def test_a_mask_that_lacks_a_part_is_noticed_unless_a_finger_can_be_there() -> None:
+    image, mask = scene()
+    labels = np.where(mask & (np.indices(mask.shape)[0] < 62), np.uint8(OBJECT_LABEL), np.uint8(0))
+    box = (46.0, 26.0, 68.0, 68.0)
+    assert "are they a part of the object?" in first_mask_finding(image, labels, box)
+    assert first_mask_finding(image, labels, box, mask) == ""
+    assert first_mask_finding(image, NOTHING, box) == ""
 
 
 @pytest.mark.parametrize("line", [[(80.0, 60.0)], [(65.0, 60.0), (95.0, 62.0)]])
