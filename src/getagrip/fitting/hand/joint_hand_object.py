@@ -78,15 +78,22 @@ def hand_size_from_depth(clip: Clip) -> float:
 
     Raises ``InputError`` for masks and depth that cannot be read.
     """
-    if not clip.evidence.get(DEPTH_KEY, clip.folder is not None and (clip.folder / DEPTH_KEY).exists()):
-        return np.nan
-    few = sample_clip_frames(clip, N_HAND_SIZE_FRAMES)
-    depth = few.evidence.get(DEPTH_KEY)
-    if not isinstance(depth, Depth) or (depth.source.scale, depth.source.source) != ("metric", "sensor"):
+    few, depth = sample_sensor_depth(clip, N_HAND_SIZE_FRAMES)
+    if depth is None:
         return np.nan
     samples = sample_depth(few, read_masks(few), depth, MAX_HAND_SIZE_SAMPLES)
     size, on_hand = median_hand_depth_ratio(samples), np.sum(samples.used - samples.on_object)
     return size if on_hand >= MIN_HAND_SIZE_SAMPLES and abs(np.log(size)) < np.log(MAX_DEPTH_RATIO) else np.nan
+
+
+def sample_sensor_depth(clip: Clip, frames: int) -> tuple[Clip, Depth | None]:
+    """Return some frames of the clip with a sensor's metric depth; None where it has none. Raises ``InputError``."""
+    if not clip.evidence.get(DEPTH_KEY, clip.folder is not None and (clip.folder / DEPTH_KEY).exists()):
+        return clip, None
+    few = sample_clip_frames(clip, frames)
+    depth = few.evidence.get(DEPTH_KEY)
+    sensed = isinstance(depth, Depth) and (depth.source.scale, depth.source.source) == ("metric", "sensor")
+    return few, depth if sensed and isinstance(depth, Depth) else None
 
 
 def restore_object_size(result: Reconstruction, clip: Clip) -> Reconstruction:
