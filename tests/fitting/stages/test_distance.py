@@ -52,6 +52,10 @@ def test_better_known_sizes_make_it_narrower() -> None:
     assert unknown > guessed > stated > own > sensed
     measured, tracked = (half_width(replace(clip, provenance=known, scale="free")) for known in ({}, hands))
     assert unknown > tracked > measured
+    guess = replace(clip, provenance=LIFTED | GUESSED)
+    assert distance_interval(guess, true_result(clip)) == distance_interval(
+        with_hand_size(guess, Options()), true_result(clip)
+    )
 
 
 def test_it_contains_the_result_and_needs_a_hand_in_the_camera() -> None:

@@ -14,7 +14,12 @@ from __future__ import annotations
 import numpy as np
 
 from getagrip.clip import Clip
-from getagrip.fitting.hand.joint_hand_object import HAND_DEPTH_SIGMAS_M, HAND_SIZE_SIGMA, sample_sensor_depth
+from getagrip.fitting.hand.joint_hand_object import (
+    HAND_DEPTH_SIGMAS_M,
+    HAND_SIZE_SIGMA,
+    STATED_SIZE_SIGMA,
+    sample_sensor_depth,
+)
 from getagrip.fitting.solver.category_prior import unmeasured_kind
 from getagrip.geometry import se3
 from getagrip.provenance import is_assumed, kind_of_hands
@@ -55,10 +60,10 @@ def _hand_sigma(clip: Clip, distance: float) -> float:
 
 def _object_sigma(clip: Clip) -> float:
     """Return the standard deviation of the logarithm of the object's size; infinite where nothing is known of it."""
-    if clip.size_sigmas is not None:
-        return clip.size_sigmas[1]
+    if clip.scale == "known" or clip.size_sigmas is not None:
+        return STATED_SIZE_SIGMA if is_assumed(clip.provenance.get("mesh")) else 0.0
     kind = unmeasured_kind(clip)
-    return 0.0 if clip.scale == "known" else np.inf if kind is None else kind.spread
+    return np.inf if kind is None else kind.spread
 
 
 def _sensor_sigma(clip: Clip) -> float:
