@@ -33,6 +33,7 @@ from getagrip.fitting.pipeline import (
 from getagrip.fitting.problem import MethodResult, Problem, prepare_problem
 from getagrip.fitting.solver.solve import minimise
 from getagrip.fitting.stages.confidence import hand_alternatives, probabilities, solved_of
+from getagrip.fitting.stages.distance import distance_interval
 from getagrip.fitting.stages.remaining_frames import SolutionTrack, at_sampled_frames, extend_to_every_frame
 from getagrip.fitting.stages.robust_masks import fit_without_outliers, image_iou
 from getagrip.geometry import se3
@@ -128,7 +129,9 @@ def reconstruct(
             judgement = pipeline.judge()
             clock("check of the result")
         result = make_reconstruction(source, answer, judgement, clock.seconds())
-        return restore_object_size(result, source.original).made_of(given, masks)
+        result = restore_object_size(result, source.original)
+        known = distance_interval(clip, result)
+        return replace(result, distance_interval_mm=known).made_of(given, masks)
 
 
 class StableGrasp:

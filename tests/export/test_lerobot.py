@@ -186,7 +186,8 @@ def test_clips_stay_in_their_split_as_the_dataset_grows(scene: Scene, tmp_path: 
     assert tests == dataset.tests(names[::-1], 0.25)
     for name in sorted(names, key=lambda name: name in tests):
         dataset.add(
-            replace(named(scene, name), probability=0.75, findings_serious=2), "test" if name in tests else "train"
+            replace(named(scene, name), probability=0.75, findings_serious=2, distance_interval=(0.5, 0.625)),
+            "test" if name in tests else "train",
         )
     again = LerobotDataset.of(tmp_path / "set")
     assert again.splits == {"train": "0:6", "test": "6:8"}
@@ -197,6 +198,7 @@ def test_clips_stay_in_their_split_as_the_dataset_grows(scene: Scene, tmp_path: 
     rows = columns(tmp_path / "set")
     assert {*rows["confidence"].tolist()} == {0.75, -1.0}
     assert {*rows["findings_serious"].tolist()} == {2, 0}
+    assert {tuple(each) for each in rows["distance_interval"].tolist()} == {(0.5, 0.625), (-1.0, -1.0)}
     np.testing.assert_allclose(rows["mask_iou"][:3], np.nan_to_num(scene.iou, nan=-1.0))
     assert rows["interpolated"][:3].tolist() == [False, False, True]
 

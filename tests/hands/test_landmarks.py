@@ -84,6 +84,19 @@ def test_errors_of_landmarks_bring_the_hand_no_nearer() -> None:
 
 
 @pytest.mark.slow
+def test_fingers_without_landmarks_bend_as_in_grasps() -> None:
+    """Most at their middle joints: between knuckle and fingertip they are as long as in DexYCB's grasps, on average."""
+    X, _ = moving("right", 1)
+    confidence = np.zeros((T, 21))
+    confidence[:, [0, 1, 2, 5, 9, 13, 17]] = 1.0
+    joints = lifted_joints(hands_from_landmarks(landmarks(X, 1), confidence, K, "right"))
+    chains = joints[:, 5:].reshape(T, 4, 4, 3)
+    whole = np.linalg.norm(np.diff(chains, axis=2), axis=-1).sum(axis=2)
+    share = np.linalg.norm(chains[:, :, 3] - chains[:, :, 0], axis=-1) / whole
+    assert share.mean() == pytest.approx(0.908, abs=0.02)
+
+
+@pytest.mark.slow
 def test_short_gaps_are_filled_and_long_ones_stay() -> None:
     X, _ = moving("right", 1)
     points, confidence = landmarks(X, 1), np.ones((T, 21))

@@ -97,3 +97,16 @@ def test_the_first_mask_is_propagated_to_the_grasp() -> None:
     assert [*grasp.labels.frames] == [0, first]
     shape = np.concatenate(grasp.labels.frames[first].object or ())
     assert np.abs((shape.min(axis=0) + shape.max(axis=0)) / 2 - shot.middle(first)).max() < 3.0
+
+
+@pytest.mark.slow
+def test_a_release_is_left_out_by_the_first_mask_alone() -> None:
+    shot, frames = Shot(arrives=8, lifts=12), 24
+    known = {frames - 1 - n: shot.joints(n) for n in range(frames)}
+    one = Labels("it", (320, 240), "left", 30.0, 0, frames - 1, {0: square(shot, frames - 1)})
+    grasp = trim_reach(one, lambda n: shot.image(frames - 1 - n), known, lambda _: None)
+    (first, last) = grasp.extents[0]
+    assert first == 0
+    assert abs(last - (frames - 1 - 8)) <= 3
+    assert "leaves it after" in grasp.said
+    assert [*grasp.labels.frames] == [0]

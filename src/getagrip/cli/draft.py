@@ -257,8 +257,14 @@ class Draft(Command):
         from getagrip.io.terminal import progress_bar
         from getagrip.studio.hands import detect_hands
         from getagrip.studio.jobs import estimators_making
-        from getagrip.studio.masks.box_prompt import empty_side, segment_box_by_motion, track_box
+        from getagrip.studio.masks.box_prompt import (
+            empty_side,
+            first_mask_finding,
+            segment_box_by_motion,
+            track_box,
+        )
         from getagrip.studio.masks.polygon_drafts import trace_polygons
+        from getagrip.studio.masks.uncertain_pixels import finger_pixels
         from getagrip.studio.store.labels import OBJECT_LABEL, FrameLabels
 
         if self.masks is not None:
@@ -277,8 +283,9 @@ class Draft(Command):
         *_, (box, _) = track_box(image, self.object_box, stretch.first, n)
         if n > stretch.first:
             print_note(f"--object-box: followed to {stretch.footage.name(n)}, the first frame with a hand")
-        hand = detect_hands.HandDetectionFiles(self.folder / detect_hands.DETECTED_HANDS_FOLDER).mask(n)
-        labels = segment_box_by_motion(image, n, (stretch.first, stretch.last), box, hand)
+        hand = detect_hands.HandDetectionFiles(self.folder / detect_hands.DETECTED_HANDS_FOLDER)
+        fingers = finger_pixels(hand.joints[n], stretch.footage.size[::-1]) if n in hand.joints else None
+        labels = segment_box_by_motion(image, n, (stretch.first, stretch.last), box, hand.mask(n), fingers)
         shapes = trace_polygons(labels == OBJECT_LABEL)
         if not shapes:
             nothing = f"nothing in the box stands out from the background in {stretch.footage.name(n)}"
@@ -287,6 +294,8 @@ class Draft(Command):
         if filled < MIN_BOX_FILL_FRACTION:
             little = f"what stands out in the box in {stretch.footage.name(n)} fills {100 * filled:.1f} % of it"
             raise UsageError(f"--object-box: {little}: that is not the object; mark it on the page, or give --masks")
+        if why := first_mask_finding(image(n), labels, box, fingers):
+            print_note(f"--object-box: {why} A stroke on the page corrects the mask")
         if empty := empty_side(labels, box):
             side, share = empty
             print_note(

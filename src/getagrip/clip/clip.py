@@ -315,8 +315,8 @@ class Clip(ArrayData):
         provenance: source of the data, by topic. Results repeat the assumptions.
         evidence: data of modalities in memory, by the modality's name. A modality that is not named is read from the
             folder when needed; one that is None is not used, even if the folder has its files.
-        size_beside_hand: True within a fit with an object of known size that is free relative to a hand, whose size
-            follows from it (``fitting/hand_size``).
+        size_sigmas: within a fit with an object of stated size that is free relative to a hand, standard deviations of
+            the logarithms of the hand's size and of the object's (``fitting.hand.joint_hand_object``).
         hand_scale: factor by which the hand was scaled within a fit, to match a sensor's depth.
         left_out: names of removed frames, with an invisible object or an unknown mask (``observed_frames``).
     """
@@ -339,7 +339,7 @@ class Clip(ArrayData):
     folder: Path | None = None
     provenance: Provenance = field(default_factory=dict)
     evidence: Mapping[str, PerFrame | None] = field(default_factory=dict)
-    size_beside_hand: bool = False
+    size_sigmas: tuple[float, float] | None = None
     hand_scale: float = 1.0
     left_out: tuple[str, ...] = ()
 
@@ -366,6 +366,17 @@ class Clip(ArrayData):
         if self.scale not in ("known", "free"):
             raise UsageError(f"Clip.scale must be 'known' or 'free' (got {self.scale!r})")
         check_segments(self.segments, count, self.world is not None)
+
+    @property
+    def size_beside_hand(self) -> bool:
+        """True within a fit in which the sizes of both hand and object may differ from the assumed and stated ones."""
+        return self.size_sigmas is not None and self.size_sigmas[0] > 0.0
+
+    @property
+    def hand_size_share(self) -> float:
+        """Share of the hand in a disagreement with the object's size, by the variances; 0 outside of such a fit."""
+        of_hand, of_object = (sigma**2 for sigma in self.size_sigmas or (0.0, 1.0))
+        return of_hand / (of_hand + of_object)
 
     @property
     def time(self) -> Float[ndarray, "T"]:

@@ -5,8 +5,9 @@ Each frame has the wrist's pose and the 21 joints (``observation.state``) and th
 ``action`` is the state of the next frame. LeRobot assumes evenly spaced frames: ``timestamp`` is n / fps, at the clip's
 rate rounded to a whole number, and uneven clips are resampled; ``time_s`` is the clip's own time. Images, if every
 frame has one, are a video. ``confidence`` is the calibrated probability that the result is right relative to the hand,
-else -1; ``findings_serious`` the number of serious findings, 0 for a right result; ``mask_iou`` the mask IOU of the
-frame, -1 without a mask that shows the object.
+else -1; ``findings_serious`` the number of serious findings, 0 for a right result; ``distance_interval`` contains the
+object's distance from the camera, median over frames, with 90 % [m], -1 where unknown; ``mask_iou`` is the mask IOU of
+the frame, -1 without a mask that shows the object.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ STATE_COMPONENTS = [
 COMPONENT_NAMES = {
     "observation.state": STATE_COMPONENTS,
     "action": STATE_COMPONENTS,
+    "distance_interval": ["low", "high"],
     "observation.environment_state": [f"object_{name}" for name in POSE_COMPONENTS],
 }
 """Names of the numbers of features."""
@@ -213,6 +215,7 @@ def _feature_columns(scene: Scene, stage: StageFrame) -> dict[str, Shaped[ndarra
         "time_s": scene.time,
         "confidence": np.full(count, -1.0 if scene.probability is None else scene.probability, dtype=np.float32),
         "findings_serious": np.full(count, scene.findings_serious),
+        "distance_interval": np.tile(np.array(scene.distance_interval or (-1.0, -1.0), np.float32), (count, 1)),
         "mask_iou": np.nan_to_num(scene.iou, nan=-1.0).astype(np.float32),
         "interpolated": np.array([kind == "interpolated" for kind in scene.frame_kind]),
         "frame_kind": np.array(scene.frame_kind, dtype=np.str_),

@@ -88,6 +88,8 @@ class Scene:
         other_hand: of a timeline, the hand of the other side, with the frames in which it is known.
         probability: calibrated probability that the poses are right relative to the hand; None without calibration.
         findings_serious: number of serious findings; with any the result is probably worthless.
+        distance_interval: interval with 90 % of the object's distance from the camera, median over frames [m]; None if
+            unknown.
     """
 
     name: str
@@ -116,12 +118,14 @@ class Scene:
     other_hand: OtherHand | None = None
     probability: float | None = None
     findings_serious: int = 0
+    distance_interval: tuple[float, float] | None = None
 
     @staticmethod
     def of(result: Reconstruction, clip: Clip) -> Scene:
         """Make the scene of a result and its clip. Raises ``InputError`` for frames that the clip lacks."""
         warped = clip.take(clip.index_of(result.frames)).warped(result.warp)
         some = warped.with_hand_at(result.T_cam_hand, result.T_cam_other_hand, result.hand_scale)
+        away = result.distance_interval_mm
         return Scene(
             name=clip.name,
             method=result.method,
@@ -149,6 +153,7 @@ class Scene:
             other_hand=some.other_hand,
             probability=None if result.probability_right is None else result.probability_right.value,
             findings_serious=sum(finding.serious for finding in result.findings),
+            distance_interval=None if away is None else (away[0] / 1e3, away[1] / 1e3),
         )
 
     def even(self, fps: float) -> Scene:

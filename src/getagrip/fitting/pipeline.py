@@ -27,6 +27,7 @@ AMBIGUOUS_ENERGY_RATIO = 1.05
 """A distinct solution within this factor of the best energy makes a result ambiguous."""
 
 SCALE_ASSUMPTION_NOTE = "the scale {:.3f} is estimated from the masks and the hand's size, not measured"
+STATED_SIZE_NOTE = "the size is stated for a guessed shape, which fits best with {:.3f} times that size"
 SHAPE_ASSUMPTION_NOTE = (
     "the object's shape is an assumption from the masks: no pose of the mesh explains their contours"
 )
@@ -191,8 +192,11 @@ def make_reconstruction(
 def _list_assumptions(clip: Clip, answer: FrameSolutions) -> dict[str, str]:
     """Return what the fit had to assume, by topic."""
     guesses = {}
-    if clip.scale == "free" and not clip.size_beside_hand:
-        guesses["scale"] = SCALE_ASSUMPTION_NOTE.format(float(answer.scale[0]))
+    scale = float(answer.scale[0])
+    if clip.size_sigmas is not None and clip.size_sigmas[1] > 0.0:
+        guesses["scale"] = STATED_SIZE_NOTE.format(scale ** (1.0 - clip.hand_size_share))
+    elif clip.scale == "free" and clip.size_sigmas is None:
+        guesses["scale"] = SCALE_ASSUMPTION_NOTE.format(scale)
     if answer.warp is not None:
         guesses["shape"] = SHAPE_ASSUMPTION_NOTE
     return guesses

@@ -39,6 +39,7 @@ RESULT_ARRAYS = (
 RESULT_DEFAULTS: Json = {
     "ambiguous": False, "message": "", "notes": [], "assumptions": {}, "findings": [], "checks": {}, "signs": {},
     "probability_right": None, "probability_right_in_camera": None, "segments": [], "hand_energy": {},
+    "distance_interval_mm": None,
 }  # fmt: skip
 """Optional keys of ``result.json``, and their defaults."""
 RESULT_FIELDS: dict[str, tuple[type, str]] = {
@@ -126,6 +127,7 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, Json]:
         probability_right_in_camera=read_probability(
             record, fields["probability_right_in_camera"], "probability_right_in_camera"
         ),
+        distance_interval_mm=_read_distance_interval(record, fields["distance_interval_mm"]),
         T_cam_hand=_read_hand_poses(path, stored, "T_cam_hand", T),
         hand_scale=float(_read_scales(path, stored, "hand_scale", ())) if "hand_scale" in stored else 1.0,
         hand_alternatives=_read_hand_alternatives(path, stored),
@@ -178,6 +180,18 @@ def _read_hand_energy(path: Path, entry: Json) -> dict[str, tuple[float, float]]
         before, after = read_checks(path, dict(zip(("before", "after"), pair, strict=True)), key).values()
         pairs[name] = before, after
     return pairs
+
+
+def _read_distance_interval(path: Path, value: object) -> tuple[float, float] | None:
+    """Read two rising distances [mm]; None for null."""
+    if value is None:
+        return None
+    key, most = "distance_interval_mm", 1e3 * MAX_RESULT_DISTANCE_M
+    pair = value if isinstance(value, list) and len(value) == 2 else [None, None]
+    low, high = read_checks(path, dict(zip(("low", "high"), pair, strict=True)), key).values()
+    if not 0.0 <= low <= high <= most:
+        raise InputError(path, key, files.shorten_value(value), f"null, or two rising numbers from 0 to {most:g} [mm]")
+    return low, high
 
 
 def _check_texts(path: Path, stored: dict[str, object]) -> None:

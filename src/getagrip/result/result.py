@@ -205,6 +205,8 @@ class Reconstruction(ArrayData):
         probability_right: probability that the poses are right relative to the hand (ADD, up to symmetries, below 10 %
             of the diameter); None if it is not calibrated for this kind of fit.
         probability_right_in_camera: probability that the poses are right relative to the camera.
+        distance_interval_mm: interval that contains the distance from the camera to the object's centre, median over
+            frames, with 90 % [mm] (``fitting.stages.distance``); None if unknown.
         T_cam_hand: (T, 4, 4) pose of the hand, possibly repaired and refined, hand frame to camera frame [m];
             ``T_hand_obj`` and the axis are relative to it. None: the clip's pose, for external poses and for results of
             older versions.
@@ -245,6 +247,7 @@ class Reconstruction(ArrayData):
     signs: dict[str, float] = field(default_factory=dict)
     probability_right: Probability | None = None
     probability_right_in_camera: Probability | None = None
+    distance_interval_mm: tuple[float, float] | None = None
     T_cam_hand: Float[ndarray, "T 4 4"] | None = None
     hand_scale: float = 1.0
     hand_covariance: Float[ndarray, "6 6"] | None = None

@@ -167,8 +167,12 @@ def trim_reach(
     ``joints`` are the hand's [px], ``hand`` returns its visible pixels, ``box`` is the object's in a frame before the
     grasp.
     """
-    known = boxes_of_polygons({n: frame.object or () for n, frame in labels.frames.items()})
-    ahead = known.items() if box is None else track_visible_box(image, box[1], box[0], labels.last)
+    shapes: dict[int, Polygons] = {n: frame.object for n, frame in labels.frames.items() if frame.object}
+    drawn = boxes_of_polygons(shapes)
+    if shapes and max(shapes) < labels.last:
+        shapes |= _propagate_polygons(labels, image, hand, max(shapes))
+    known = boxes_of_polygons(shapes)
+    ahead = drawn.items() if box is None else track_visible_box(image, box[1], box[0], labels.last)
     first = find_arrival(image, ahead, joints, labels.last)
     last = find_arrival(image, [*known.items()][::-1], joints, labels.first)
     extent = (labels.first if first is None else first, labels.last if last is None else last)
@@ -177,18 +181,19 @@ def trim_reach(
     why = {"reaches for it before": first, "leaves it after": last}
     moves = " and ".join(words for words, frame in why.items() if frame is not None)
     taken = f"frames {extent[0] + 1} to {extent[1] + 1} are used, in which hand and object move together"
-    if not any(extent[0] <= n <= extent[1] for n in known) and known:
-        labels = replace(labels, frames=_add_propagated_labels(labels, image, hand, max(known), extent[0]))
+    if not any(extent[0] <= n <= extent[1] for n in drawn) and extent[0] in shapes:
+        labels = replace(labels, frames=labels.frames | {extent[0]: FrameLabels(object=tuple(shapes[extent[0]]))})
     return DraftedGrasps(labels, [extent], f"{taken}: the hand {moves}; --all-frames uses all")
 
 
-def _add_propagated_labels(labels: Labels, image: Images, hand: Hands, key: int, to: int) -> dict[int, FrameLabels]:
-    """Return the labels' frames, with those of a key frame propagated to a later frame."""
+def _propagate_polygons(labels: Labels, image: Images, hand: Hands, key: int) -> dict[int, Polygons]:
+    """Return the polygons of the object in the frames after a key frame, to the last or to where it is lost."""
     from getagrip.studio.masks.polygon_drafts import trace_polygons
 
-    *_, last = propagate_labels(image, {key: labels.label_maps()[key]}, key, to, hand=hand)
-    found = FrameLabels(object=tuple(trace_polygons(last.labels == OBJECT_LABEL)))
-    return labels.frames | {to: found} if found.object else dict(labels.frames)
+    propagated = propagate_labels(image, {key: labels.label_maps()[key]}, key, labels.last, hand=hand)
+    kept = takewhile(lambda each: each.confidence > 0.0, propagated)
+    found = {each.frame: tuple(trace_polygons(each.labels == OBJECT_LABEL)) for each in kept}
+    return {n: shapes for n, shapes in found.items() if shapes and n > key}
 
 
 def find_grasps(

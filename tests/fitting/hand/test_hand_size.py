@@ -11,12 +11,18 @@ import pytest
 from getagrip.bench.inputs.simulated_evidence import SimulatedDepth
 from getagrip.clip import Clip, Segment, with_masks
 from getagrip.clip.depth import DEPTH_KEY, Depth
-from getagrip.fitting.hand.joint_hand_object import restore_object_size, with_hand_size
+from getagrip.fitting.hand.joint_hand_object import (
+    HAND_SIZE_SIGMA,
+    STATED_SIZE_SIGMA,
+    restore_object_size,
+    with_hand_size,
+)
 from getagrip.fitting.methods.all_frames import search_of
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare_problem
 from getagrip.fitting.solver.search import DEFAULT_SCHEDULE, THOROUGH_SCHEDULE
 from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 from getagrip.provenance import assumed, measured
 from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction, read_result, write_result
@@ -61,7 +67,7 @@ def test_a_hand_of_another_size_is_scaled_to_the_object(by: float, tmp_path: Pat
 def test_only_hands_of_assumed_size_and_objects_of_known_size_are_scaled() -> None:
     clip, _ = scene("mug", 1, SMALL)
     lifted = replace(clip, provenance=LIFTED)
-    assert with_hand_size(lifted, Options()).size_beside_hand
+    assert with_hand_size(lifted, Options()).size_sigmas == (HAND_SIZE_SIGMA, 0.0)
     whole = (Segment("grasp", 0, len(clip) - 1, clip.side),)
     others = [
         clip, replace(clip, provenance={"hands_scale": measured("by a scanner")}), replace(lifted, scale="free"),
@@ -81,7 +87,7 @@ def test_a_sensor_shows_how_large_a_lifted_hand_is(by: float) -> None:
     assert sized.hand_scale == pytest.approx(1.0 / by, rel=0.02)
     again = clip.with_hand_at(sized.hand.T_cam_hand, scale=by * sized.hand_scale)
     np.testing.assert_array_almost_equal(sized.hand.vertices, again.hand.vertices)
-    assert not sized.size_beside_hand
+    assert sized.size_sigmas is None
     known = with_hand_size(replace(lifted, scale="known"), Options())
     assert (known.scale, known.hand_scale) == ("known", sized.hand_scale)
     depth = lifted.evidence[DEPTH_KEY]
@@ -116,7 +122,7 @@ def test_beside_a_sensor_hand_and_object_have_their_own_sizes() -> None:
 def test_a_scaled_scene_looks_the_same() -> None:
     clip, masks = scene("mug", 1, SMALL)
     beside = with_hand_size(replace(clip, provenance=LIFTED), Options())
-    found = reconstruct(replace(beside, size_beside_hand=False), masks, Options())
+    found = reconstruct(replace(beside, size_sigmas=None), masks, Options())
     scaled = restore_object_size(found, beside)
 
     def posed(result: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
@@ -126,3 +132,33 @@ def test_a_scaled_scene_looks_the_same() -> None:
 
     for after, before in zip(posed(scaled), posed(found), strict=True):
         np.testing.assert_allclose(after, scaled.hand_scale * before, atol=1e-9)
+
+
+@pytest.mark.parametrize("lifted", [False, True])
+def test_the_stated_size_of_a_guessed_shape_is_free_beside_any_hand(lifted: bool) -> None:
+    clip, _ = scene("mug", 1, SMALL)
+    guessed = replace(clip, provenance={"mesh": assumed("a built-in mug")} | (LIFTED if lifted else {}))
+    beside = with_hand_size(guessed, Options())
+    assert beside.scale == "free"
+    assert beside.size_sigmas == (HAND_SIZE_SIGMA if lifted else 0.0, STATED_SIZE_SIGMA)
+    assert beside.hand_size_share == pytest.approx(0.5 if lifted else 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("by", [0.9, 1.1])
+def test_a_measured_hand_overrules_the_size_stated_for_a_guessed_shape(by: float) -> None:
+    clip, masks = scene("mug", 1, SMALL)
+    wrong = replace(clip, mesh=Mesh(by * clip.mesh.vertices, clip.mesh.faces), provenance={"mesh": assumed("a guess")})
+    found = reconstruct(wrong, masks, Options())
+    assert found.hand_scale == 1.0
+    assert found.scale == pytest.approx(1.0 / by, rel=0.03)
+    assert "scale" in found.assumptions
+
+
+@pytest.mark.slow
+def test_two_uncertain_sizes_share_their_disagreement() -> None:
+    clip, masks = scene("mug", 1, SMALL)
+    farther = replace(with_larger_hand(clip, 1.2), provenance=LIFTED | {"mesh": assumed("a guess")})
+    found = reconstruct(farther, masks, Options())
+    assert found.hand_scale == pytest.approx(1.2**-0.5, rel=0.03)
+    assert found.scale == pytest.approx(1.2**0.5, rel=0.03)

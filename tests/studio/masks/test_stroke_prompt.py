@@ -13,7 +13,14 @@ from numpy import ndarray
 
 from getagrip.errors import UsageError
 from getagrip.studio.masks import box_prompt, stroke_prompt
-from getagrip.studio.masks.box_prompt import Box, empty_side, segment_box, segment_box_by_motion
+from getagrip.studio.masks.box_prompt import (
+    Box,
+    box_to_slices,
+    empty_side,
+    first_mask_finding,
+    segment_box,
+    segment_box_by_motion,
+)
 from getagrip.studio.masks.stroke_prompt import apply_strokes, click_motion_log_ratio, keyframe_label_maps
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL, FrameLabels, Labels
 
@@ -39,6 +46,41 @@ NOTHING = np.zeros(SIZE[::-1], np.uint8)
 
 def strokes(*lines: list[tuple[float, float]]) -> tuple[ndarray, ...]:
     return tuple(np.array(line, float) for line in lines)
+
+
+def test_a_face_of_the_hands_colour_is_the_objects_where_no_finger_can_be() -> None:
+    rng = np.random.default_rng(0)
+    image = rng.normal((40.0, 45.0, 40.0), 8.0, (*SIZE[::-1], 3))
+    thing, face, hand, fingers = (np.zeros(SIZE[::-1], np.uint8) for _ in range(4))
+    cv2.fillConvexPoly(thing, np.array([[40, 50], [70, 22], [112, 46], [80, 84]]), 1)
+    cv2.fillConvexPoly(face, np.array([[42, 52], [58, 38], [92, 62], [78, 82]]), 1)
+    for arm, width in ((hand, 32), (fingers, 40)):
+        cv2.line(arm, (92, 64), (130, 118), 1, width)
+    image[thing > 0] = rng.normal((10.0, 80.0, 140.0), 8.0, (int(thing.sum()), 3))
+    image[face > 0] = image[hand > 0] = 254.0  # overexposed
+    shown, image = (thing > 0) & (hand == 0), np.clip(image, 0, 255).astype(np.uint8)
+    box = (38, 20, 76, 66)
+    assert iou(segment_box(image, box, hand > 0) == OBJECT_LABEL, shown) < 0.7
+    assert iou(segment_box(image, box, hand > 0, fingers > 0) == OBJECT_LABEL, shown) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("box", "cut"), [((46, 26, 68, 68), False), ((30, 10, 100, 99), False), ((65, 26, 60, 68), True)]
+)
+def test_a_mask_that_its_box_cuts_off_is_noticed(box: Box, cut: bool) -> None:
+    image, mask = scene()
+    labels = np.zeros_like(NOTHING)
+    labels[box_to_slices(box, SIZE)] = mask[box_to_slices(box, SIZE)]
+    assert ("does the object reach beyond it?" in first_mask_finding(image, labels, box)) == cut
+
+
+def test_a_mask_that_lacks_a_part_is_noticed_unless_a_finger_can_be_there() -> None:
+    image, mask = scene()
+    labels = np.where(mask & (np.indices(mask.shape)[0] < 62), np.uint8(OBJECT_LABEL), np.uint8(0))
+    box = (46.0, 26.0, 68.0, 68.0)
+    assert "are they a part of the object?" in first_mask_finding(image, labels, box)
+    assert first_mask_finding(image, labels, box, mask) == ""
+    assert first_mask_finding(image, NOTHING, box) == ""
 
 
 @pytest.mark.parametrize("line", [[(80.0, 60.0)], [(65.0, 60.0), (95.0, 62.0)]])

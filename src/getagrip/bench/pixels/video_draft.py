@@ -51,6 +51,7 @@ from getagrip.studio.hands.networks import Nets
 from getagrip.studio.jobs import RunCall
 from getagrip.studio.masks.box_prompt import segment_box_by_motion, track_box
 from getagrip.studio.masks.polygon_drafts import trace_polygons
+from getagrip.studio.masks.uncertain_pixels import finger_pixels
 from getagrip.studio.store.export_clip import new_clip_call, write_labelled_clip_files
 from getagrip.studio.store.labels import OBJECT_LABEL, FrameLabels, Labels
 from getagrip.studio.store.tasks import open_footage
@@ -253,7 +254,8 @@ class VideoDraft:
             mask = true
         else:
             *_, (box, _) = track_box(self.frames.__getitem__, self.known.box, 0, n)
-            mask = segment_box_by_motion(self.frames.__getitem__, n, (0, self.last), box, found.mask(n)) == OBJECT_LABEL
+            fingers, image = finger_pixels(found.joints[n], true.shape), self.frames.__getitem__
+            mask = segment_box_by_motion(image, n, (0, self.last), box, found.mask(n), fingers) == OBJECT_LABEL
             if oracle == Oracle():
                 self.stages["first_mask_iou"] = mask_overlap([mask], [true])
         shapes = tuple(trace_polygons(mask))

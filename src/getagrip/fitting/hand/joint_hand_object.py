@@ -4,12 +4,14 @@ The hand was refined by its own evidence before (``refine_hand``). Here the same
 parameters beside the object's motion (``MovingHand``). So evidence on the object tells about the hand, above all its
 distance: the hand's own silhouette says little about it, the object's much, and the two touch.
 
-The size of a hand that was lifted from 2D, from a sensor's depth or from the object's known size.
+The sizes of hand and object: one camera sees both, and a scene twice as large and twice as far away looks the same.
 
-A lifted hand has an assumed size, and its distance follows from the size: a mug of known size would be apart from the
-hand that holds it. To one camera a scene twice as large and twice as far away is the same. So the hand is scaled about
-the camera to the distance that a sensor's depth shows. Without depth the object's size is free beside the hand's in the
-fit, and the result is scaled until the object has its known size.
+A hand that was lifted from 2D has an assumed size, and its distance follows from the size: a mug of known size would be
+apart from the hand that holds it. So the hand is scaled about the camera to the distance that a sensor's depth shows.
+Without depth the object's size is free beside the hand's in the fit, and the result is scaled until the object has its
+known size. The stated size of a built-in shape is uncertain, too: it is the largest side of the object, whose other
+sides are a guess. Then the size is free beside any hand, and hand and object share the disagreement by the variances of
+their sizes: a measured hand, whose size is exact, stays.
 """
 
 from __future__ import annotations
@@ -38,6 +40,10 @@ from getagrip.result import Reconstruction
 
 HAND_SIZE_SIGMA = 0.1
 """Standard deviation of the logarithm of a lifted hand's size. Assumed; 0.1 to 0.6 do alike (docs/trials.md)."""
+STATED_SIZE_SIGMA = 0.1
+"""Standard deviation of the logarithm of the size at which a built-in shape looks as large as an object whose largest
+side it has: 0.11 of 15 scans of YCB, by the areas of their hulls."""
+HAND_SIZE_FROM_BOTH = assumed("between a mean hand's and that which follows from the size stated for a guessed shape")
 HAND_SIZE_FROM_OBJECT = assumed("it follows from the object's, which is known")
 HAND_SIZE_FROM_DEPTH = estimated("from the distance at which a sensor's depth shows the hand")
 N_HAND_SIZE_FRAMES, MAX_HAND_SIZE_SAMPLES, MIN_HAND_SIZE_SAMPLES = 12, 100, 20
@@ -45,22 +51,26 @@ N_HAND_SIZE_FRAMES, MAX_HAND_SIZE_SAMPLES, MIN_HAND_SIZE_SAMPLES = 12, 100, 20
 
 
 def with_hand_size(clip: Clip, options: Options) -> Clip:
-    """Return the clip with a lifted hand at the distance of a sensor's depth, or else the object's size free.
+    """Return the clip with a lifted hand at the distance of a sensor's depth, and the object's size free where it is.
 
-    A clip without a sensor's depth whose object's size is unknown stays unchanged. So do timelines, some of whose
-    segments are solved without a hand.
+    A stated size is free beside a lifted hand without a sensor's depth, and if it is that of a guessed shape. Other
+    clips stay unchanged. So do timelines, some of whose segments are solved without a hand.
     """
-    if not is_assumed(clip.provenance.get("hands_scale")) or clip.segments or options.as_published:
+    if clip.segments or options.as_published:
         return clip
-    size = hand_size_from_depth(clip)
+    lifted = is_assumed(clip.provenance.get("hands_scale"))
+    size = hand_size_from_depth(clip) if lifted else np.nan
     if not np.isnan(size):
         hand = replace(clip.hand.scaled(size), T_cam_hand=_scale_translations(clip.hand.T_cam_hand, size))
-        provenance = clip.provenance | {"hands_scale": HAND_SIZE_FROM_DEPTH}
-        return replace(clip, hand=hand, hand_scale=size, provenance=provenance)
-    if clip.scale != "known":
+        known = clip.provenance | {"hands_scale": HAND_SIZE_FROM_DEPTH}
+        clip, lifted = replace(clip, hand=hand, hand_scale=size, provenance=known), False
+    guessed = is_assumed(clip.provenance.get("mesh"))
+    if clip.scale != "known" or not (lifted or guessed):
         return clip
-    provenance = clip.provenance | {"hands_scale": HAND_SIZE_FROM_OBJECT}
-    return replace(clip, scale="free", size_beside_hand=True, provenance=provenance)
+    source = HAND_SIZE_FROM_BOTH if guessed else HAND_SIZE_FROM_OBJECT
+    known = clip.provenance | ({"hands_scale": source} if lifted else {})
+    sigmas = HAND_SIZE_SIGMA if lifted else 0.0, STATED_SIZE_SIGMA if guessed else 0.0
+    return replace(clip, scale="free", size_sigmas=sigmas, provenance=known)
 
 
 def hand_size_from_depth(clip: Clip) -> float:
@@ -68,23 +78,31 @@ def hand_size_from_depth(clip: Clip) -> float:
 
     Raises ``InputError`` for masks and depth that cannot be read.
     """
-    if not clip.evidence.get(DEPTH_KEY, clip.folder is not None and (clip.folder / DEPTH_KEY).exists()):
-        return np.nan
-    few = sample_clip_frames(clip, N_HAND_SIZE_FRAMES)
-    depth = few.evidence.get(DEPTH_KEY)
-    if not isinstance(depth, Depth) or (depth.source.scale, depth.source.source) != ("metric", "sensor"):
+    few, depth = sample_sensor_depth(clip, N_HAND_SIZE_FRAMES)
+    if depth is None:
         return np.nan
     samples = sample_depth(few, read_masks(few), depth, MAX_HAND_SIZE_SAMPLES)
     size, on_hand = median_hand_depth_ratio(samples), np.sum(samples.used - samples.on_object)
     return size if on_hand >= MIN_HAND_SIZE_SAMPLES and abs(np.log(size)) < np.log(MAX_DEPTH_RATIO) else np.nan
 
 
-def restore_object_size(result: Reconstruction, clip: Clip) -> Reconstruction:
-    """Scale the result of a clip ``with_hand_size`` about the camera until the object has its known size.
+def sample_sensor_depth(clip: Clip, frames: int) -> tuple[Clip, Depth | None]:
+    """Return some frames of the clip with a sensor's metric depth; None where it has none. Raises ``InputError``."""
+    if not clip.evidence.get(DEPTH_KEY, clip.folder is not None and (clip.folder / DEPTH_KEY).exists()):
+        return clip, None
+    few = sample_clip_frames(clip, frames)
+    depth = few.evidence.get(DEPTH_KEY)
+    sensed = isinstance(depth, Depth) and (depth.source.scale, depth.source.source) == ("metric", "sensor")
+    return few, depth if sensed and isinstance(depth, Depth) else None
 
-    The result of a clip whose size was not changed stays unchanged.
+
+def restore_object_size(result: Reconstruction, clip: Clip) -> Reconstruction:
+    """Scale the result of a clip ``with_hand_size`` about the camera: an object of known size has it again.
+
+    Of the disagreement with a size that is not certain either, the hand takes its share. The result of a clip whose
+    size was not changed stays unchanged.
     """
-    size = 1.0 / result.scale if clip.size_beside_hand else 1.0
+    size = result.scale**-clip.hand_size_share
     if size * clip.hand_scale == 1.0:
         return result
     assert result.T_cam_hand is not None
@@ -93,7 +111,7 @@ def restore_object_size(result: Reconstruction, clip: Clip) -> Reconstruction:
     units = np.array([size, size, size, 1.0, 1.0, 1.0])
     return replace(
         result,
-        scale=1.0 if clip.size_beside_hand else result.scale,
+        scale=result.scale ** (1.0 - clip.hand_size_share),
         T_hand_obj=_scale_translations(result.T_hand_obj, size),
         axis=None if axis is None else replace(axis, point=size * axis.point),
         candidates=replace(found, T_hand_obj=_scale_translations(found.T_hand_obj, size), scale=size * found.scale),

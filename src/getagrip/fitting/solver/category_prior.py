@@ -17,7 +17,6 @@ from numpy import ndarray
 
 from getagrip.clip import Clip
 from getagrip.fitting.energy import Energy, InHand, PosesInCamera, Quadratic, Term
-from getagrip.fitting.hand.joint_hand_object import HAND_SIZE_SIGMA
 from getagrip.fitting.problem import HALF_TURN_DISTANCE_RANGE, ObjectSurface
 from getagrip.geometry import se3
 from getagrip.hands.grips import CATEGORY_PRIORS, CategoryPrior
@@ -111,14 +110,14 @@ class UprightTerm:
 
 
 def category_energy(clip: Clip) -> Energy:
-    """Return the terms on an unmeasured object's upright axis and size, and on a size that is free beside the hand's.
+    """Return the terms on an unmeasured object's upright axis and size, and on a stated size that is free in the fit.
 
     No terms for other objects.
     """
     kind = unmeasured_kind(clip)
     spread = None if kind is None else kind.spread
-    if clip.size_beside_hand:
-        spread = HAND_SIZE_SIGMA
+    if clip.size_sigmas is not None:
+        spread = float(np.hypot(*clip.size_sigmas))
 
     def terms(level: int, index: Int[ndarray, "n"]) -> list[Term]:
         if spread is None:

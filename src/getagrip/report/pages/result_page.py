@@ -193,9 +193,15 @@ def describe_result(view: View, label: str, evaluation: Evaluation, record: Json
     main += _main_metric_rows(evaluation.headline, bool(evaluation.metrics_of_grasps))
     main += _main_metric_rows({REPLAY_STABILITY.name: record.get("metrics", {}).get(REPLAY_STABILITY.name)}, False)
     hand = f"a {clip.side} hand" if clip.other_hand is None else "both hands"
+    away = result.distance_interval_mm
     return {
         "label": label,
-        "facts": [f"{clip.category} in {hand}", view.frames_in_words, *view.size_in_words],
+        "facts": [
+            f"{clip.category} in {hand}",
+            view.frames_in_words,
+            *view.size_in_words,
+            *([] if away is None else [f"{away[0]:.0f} to {away[1]:.0f} mm from the camera, with 90 %"]),
+        ],
         "status": "; ".join(filter(None, (result.message, result.looks))),
         "ambiguous": result.ambiguous,
         "findings": [{"serious": f.serious, "check": f.check, "message": f.message} for f in result.findings],

@@ -34,6 +34,7 @@ from getagrip.studio.hands.stabilize_hands import stabilize_hands
 from getagrip.studio.jobs import NewClipCall
 from getagrip.studio.masks.propagate_clip import no_hand_mask, propagate_labels
 from getagrip.studio.masks.stroke_prompt import keyframe_label_maps
+from getagrip.studio.masks.uncertain_pixels import UncertainPixels
 from getagrip.studio.store.history import RefusedError
 from getagrip.studio.store.labels import HAND_LABEL, OCCLUDER_LABEL, Labels
 from getagrip.studio.store.tasks import Task
@@ -113,8 +114,9 @@ def write_labelled_clip_files(
 ) -> ClipFiles:
     """Write ``out/hand.npz`` and ``out/masks/<name>.png``, whose values are ``OBJECT_LABEL`` and so on.
 
-    Pixels that the hand or an occluder may hide get ``OCCLUDER_LABEL``, too. Frames in which the object is lost get no
-    mask. The hand is fitted to the clicked joints; without clicks, the ``found`` hand is lifted again.
+    Pixels that the hand or an occluder may hide, and ``UncertainPixels``, get ``OCCLUDER_LABEL``, too.
+    Frames in which the object is lost get no mask. The hand is fitted to the clicked joints; without clicks, the
+    ``found`` hand is lifted again.
 
     ``image`` returns the footage's frames, from 0, and ``name`` their names in a clip. If the lens is a guess or not
     set, the files note that depth and size are guesses, too. ``done`` is called with the number of frames that are
@@ -132,8 +134,13 @@ def write_labelled_clip_files(
     with files.new_folder(out, ("hand.npz", "masks") if overwrite else ()) as new:
         (new / "masks").mkdir()
         drawn, maps = keyframe_label_maps(labels, image, seen), LabelMaps(labels.size)
+        uncertain = UncertainPixels.of_keys(drawn, image, seen, {} if found is None else found.joints)
         for n, mask, sure in propagate_labels(image, drawn, labels.first, labels.last, hand=seen):
-            whole = _occlude_hand_border(mask) if hands is None else _occlude_hand(mask, hands, n - labels.first, K)
+            if hands is None:
+                whole = _occlude_hand_border(mask)
+                whole[uncertain.find(n, whole, image(n))] = OCCLUDER_LABEL
+            else:
+                whole = _occlude_hand(mask, hands, n - labels.first, K)
             if sure > 0.0:
                 write_image(new / "masks" / f"{name(n)}.png", whole)
             maps.add(n, whole)
