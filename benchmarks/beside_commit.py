@@ -24,7 +24,7 @@ from typing import Any
 from benchmarks import store
 from benchmarks.store import Table, of_cells
 from benchmarks.timing import circumstances
-from getagrip.geometry.mesh import Mesh, decimate, edge_length, subdivide_surface
+from getagrip.geometry.mesh import Mesh, decimate, edge_length, face_areas, subdivide_surface
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.synthetic.scene import synthesise
 
@@ -34,6 +34,8 @@ FRAMES, FACES, SIZES = (10, 30, 100, 300, 1000), (300, 2000, 20_000), ((640, 480
 MOST_FRAMES_THEN = 300
 """Number of frames beyond which the earlier code needs several gigabytes, and is not run."""
 REPEATS = 3
+MIN_FACE_AREA_M2 = 1e-9
+"""Smaller faces have no area in a file of rounded coordinates."""
 SYNTHETIC = "synthetic:"
 WORKER = """
 import json, sys, time
@@ -160,7 +162,9 @@ def growing(scratch: Path) -> dict[str, Ask]:
     fine = Mesh(*subdivide_surface(mesh.vertices, mesh.faces, length))
     for n in FACES:
         path = scratch / f"{n}.obj"
-        write_mesh(decimate(fine, n), path)
+        few = decimate(fine, n)
+        whole = face_areas(few.vertices, few.faces) > MIN_FACE_AREA_M2
+        write_mesh(Mesh(few.vertices, few.faces[whole]), path)
         asks[f"{n} faces"] = {"clip": kettle, "mesh": str(path)}
     for width, height in SIZES:
         scene = {"size": [width, height], "focal": 600.0 * height / 480.0}
