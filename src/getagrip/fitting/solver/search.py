@@ -118,7 +118,7 @@ class Schedule:
 
     static_iterations: int = 6
     relaxed_iterations: int = 3
-    relaxed: int = 20
+    relaxed: int = 30
     coarse: tuple[Stage, ...] = (
         Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=3, parents=12, until_met=True),
         Stage(
