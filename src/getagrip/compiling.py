@@ -43,12 +43,16 @@ and a process would use the first copy loaded, which depends on the cache: the l
 """
 KERNEL_GROUPS = (
     ("geometry.kernels.silhouette", "fitting.energy.mask"),
-    ("geometry.kernels.closest", "fitting.energy.contact", "geometry.rasterize", "hands.bending"),
-)
+    (
+        "geometry.kernels.closest", "geometry.kernels.rotations", "fitting.energy.contact",
+        "fitting.energy.contact_consistency", "fitting.motion.soft_hinge", "fitting.solver.damped_step",
+        "geometry.rasterize", "hands.bending",
+    ),
+)  # fmt: skip
 """Modules by compiling process: modules that share parts together, and processes of equal duration."""
 RARELY_USED_KERNEL_MODULES = (
     "fitting.energy.mesh_mask", "fitting.energy.paper_contact", "fitting.energy.depth_term", "geometry.kernels.depth",
-    "fitting.energy.occlusion_order", "fitting.energy.contact_consistency", "studio.masks.graph_cut",
+    "fitting.energy.occlusion_order", "studio.masks.graph_cut",
 )  # fmt: skip
 """Modules that few reconstructions need; each is compiled on first use."""
 TYPE_BY_LETTER = {

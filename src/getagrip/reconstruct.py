@@ -20,6 +20,7 @@ from getagrip.compiling import COMPILATION_MESSAGE, compile_once
 from getagrip.errors import GetagripError, InputError, UsageError, check_arguments
 from getagrip.fitting.hand.joint_hand_object import restore_object_size, with_hand_size
 from getagrip.fitting.methods import METHODS
+from getagrip.fitting.methods.all_frames import refit_hinge
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import (
     Clock,
@@ -169,7 +170,11 @@ class StableGrasp:
         method, problem = METHODS[self.problem.options.method], self.problem
         try:
             if method.checks_masks and problem.options.masks == "checked":
-                self.problem, self.found = fit_without_outliers(problem, lambda some: method.fit(some, clock))
+                self.problem, self.found = fit_without_outliers(
+                    problem,
+                    lambda some: method.fit(some, clock),
+                    lambda some, found, frames: refit_hinge(some, found, frames, clock),
+                )
             else:
                 self.found = method.fit(problem, clock)
                 self.problem = problem.as_found(self.found)

@@ -65,7 +65,8 @@ def some_term(kind: str, rng: np.random.Generator) -> Term:
 def total_hessian(local: Quadratic) -> ndarray:
     """The whole Hessian (B, P N, P N), frames tied to each other."""
     P = local.g.shape[-1]
-    H = np.zeros((B, N, P, N, P)) if local.cross is None else local.cross.copy()
+    between = local.between_frames
+    H = np.zeros((B, N, P, N, P)) if between is None else between.copy()
     for n in range(N):
         H[:, n, :, n] += local.H[:, n]
     return H.reshape(B, P * N, P * N)

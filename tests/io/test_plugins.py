@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from getagrip.bench import grasps, segments, timelines
+from getagrip.bench import grasps
+from getagrip.bench.sequences import segments, timelines
 from getagrip.checks import Check, Evidence, run_checks
 from getagrip.errors import UsageError
 from getagrip.io import plugins

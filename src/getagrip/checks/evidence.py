@@ -17,8 +17,8 @@ from getagrip.io.images import PackedMask, PackedMasks, pack_masks
 from getagrip.metrics.contact import moving_distance
 from getagrip.provenance import is_assumed
 
-N_CONTACT_HAND_POINTS = 400
-"""Number of the hand's vertices whose distances to the object are measured."""
+N_CONTACT_HAND_POINTS, N_CONTACT_FRAMES = 400, 15
+"""Number of the hand's vertices whose distances to the object are measured, and of frames."""
 SMALL_IMAGE_PX = 64
 """Longer side of the images in which the hand is rendered [px]."""
 DEPTH_ORDER_IMAGE_PX, N_DEPTH_ORDER_FRAMES = 256, 8
@@ -164,6 +164,17 @@ class Evidence:
         return self.clip.K[:, [0, 1], [0, 1]]
 
     @cached_property
+    def expected_size(self) -> float:
+        """Half of the object's diameter in the image [px], about the root of a whole mask's area; 0 for a free scale.
+
+        It is a lower bound on the mask's size: the part of an object that a hand leaves visible may lie anywhere in it.
+        """
+        if self.clip.scale != "known":
+            return 0.0
+        focal = self.clip.K[:, [0, 1], [0, 1]].mean(axis=1)
+        return float(np.median(focal / self.depth)) * self.clip.mesh.diameter / 2.0
+
+    @cached_property
     def drawn_hands(self) -> Bool[ndarray, "T h w"]:
         """Silhouettes of the input hand in small images."""
         K, size = np.diag([self._zoom, self._zoom, 1.0]) @ self.clip.K, self._small
@@ -205,22 +216,23 @@ class Evidence:
         return np.asarray(se3.transform(T_cam_obj, self.scale * self.clip.mesh.vertices))
 
     @cached_property
-    def to_object(self) -> Float[ndarray, "T P"]:
-        """Signed distances [m] of points of the hand to the found object, negative inside."""
+    def to_object(self) -> Float[ndarray, "n P"]:
+        """Signed distances [m] of points of the hand to the found object in a few frames, negative inside."""
         return self._distance(frame_indices(self.clip.hand.vertices.shape[1], N_CONTACT_HAND_POINTS))
 
     @cached_property
-    def region_distance(self) -> Float[ndarray, "T R"]:
-        """Signed distance [m] of each contact region of the hand to the found object, negative inside."""
+    def region_distance(self) -> Float[ndarray, "n R"]:
+        """Signed distance [m] of each contact region of the hand to the found object in these frames."""
         regions = self.clip.hand.regions.values()
         some = [ids[frame_indices(len(ids), N_POINTS_PER_REGION)] for ids in regions if len(ids)]
         ends = np.cumsum([len(ids) for ids in some])[:-1]
         parts = np.split(self._distance(np.concatenate(some)), ends, axis=1)
         return np.stack([part.min(axis=1) for part in parts], axis=1)
 
-    def _distance(self, ids: Int[ndarray, "n"]) -> Float[ndarray, "T n"]:
+    def _distance(self, ids: Int[ndarray, "P"]) -> Float[ndarray, "n P"]:
         assert self.T_hand_obj is not None
-        mesh, points = self.clip.mesh, se3.transform(se3.inverse(self.T_hand_obj), self.clip.hand.vertices[:, ids])
+        mesh, few = self.clip.mesh, frame_indices(len(self.clip), N_CONTACT_FRAMES)
+        points = se3.transform(se3.inverse(self.T_hand_obj[few]), self.clip.hand.vertices[np.ix_(few, ids)])
         vertices = np.broadcast_to(self.scale * mesh.vertices, (len(points), *mesh.vertices.shape))
         return moving_distance(points, vertices, mesh.faces)
 

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.checks.evidence import Evidence
+from getagrip.clip.clip import frame_indices
 from getagrip.geometry.mesh import face_areas
 from getagrip.metrics.contact import close_holes
 
@@ -28,8 +29,8 @@ HAND_PRIOR_DISTANCE_M = 0.15
 """Distance from the hand's middle at which the prior on the point has a hundredth of the weight of the masks [m]."""
 MIN_SHIFTED_FRACTION = 0.6
 """Minimum fraction of the frames that overlap after a shift."""
-MIN_ORDER_FRAMES = 5
-"""Minimum number of frames whose order is checked."""
+MIN_ORDER_FRAMES, MAX_ORDER_FRAMES = 5, 60
+"""Minimum and maximum number of frames whose order is checked."""
 MIN_CENTROID_ERROR, MIN_HAND_OVERLAP = 0.05, 0.05
 """Minimum distance, in sizes of the mask, and minimum overlap that are distinguished."""
 
@@ -147,10 +148,11 @@ def reordering_gain(it: Evidence) -> float:
     The factor is the ratio of the centroids' errors, times the ratio of the overlaps of hands and ignored pixels, if
     any.
     """
+    few = frame_indices(len(it.mask_area), MAX_ORDER_FRAMES)
     shown = it.mask_area > 0
     overlap = _pairwise_iou(it.drawn_hands, it.small_ignore) if it.masks.say_what_hides else None
     best = 1.0 if shown.sum() >= MIN_ORDER_FRAMES else float("nan")
-    for frames, others in _candidate_orders(len(shown)):
+    for frames, others in ((few[n], few[m]) for n, m in _candidate_orders(len(few))):
         both = shown[frames] & shown[others]
         n, m = frames[both], others[both]
         if len(n) < MIN_ORDER_FRAMES:
@@ -196,28 +198,14 @@ def _frame_shifts(count: int) -> Iterator[tuple[Int[ndarray, "n"], Int[ndarray, 
 def _centroid_rmse(it: Evidence, frames: Int[ndarray, "n"], masks: Int[ndarray, "n"]) -> float:
     """Root mean square distance of the masks' centroids from the projection of the best point fixed in the hand."""
     hand, K = it.clip.hand, it.clip.K[frames]
-    T = hand.T_cam_hand[frames]
     middle = it.hand_middle[frames].mean(axis=0)
-    P = K @ T[:, :3]
-    uv, depth = it.centroids[masks], it.depth[frames]
-    rows = (P[:, :2] - uv[..., None] * P[:, 2:]) / depth[:, None, None]  # (n, 2, 4): approximate pixel errors
-    size = max(np.sqrt(np.median(it.mask_area[masks])), _expected_size(it))
-    rows = rows / size
+    P, uv, depth = K @ hand.T_cam_hand[frames, :3], it.centroids[masks], it.depth[frames]
+    size = max(np.sqrt(np.median(it.mask_area[masks])), it.expected_size)
+    rows = (P[:, :2] - uv[..., None] * P[:, 2:]) / (size * depth[:, None, None])  # (n, 2, 4): approximate pixel errors
     A, b = rows[..., :3].reshape(-1, 3), -(rows @ np.append(middle, 1.0)).ravel()
     ridge = 0.01 * len(frames) / HAND_PRIOR_DISTANCE_M**2
     p = np.linalg.solve(A.T @ A + ridge * np.eye(3), A.T @ b)
     return float(np.sqrt(np.sum((A @ p - b) ** 2) / len(frames)))
-
-
-def _expected_size(it: Evidence) -> float:
-    """Half of the object's diameter in the image [px], about the root of a whole mask's area; 0 for a free scale.
-
-    It is a lower bound on the mask's size: the part of an object that a hand leaves visible may lie anywhere in it.
-    """
-    if it.clip.scale != "known":
-        return 0.0
-    focal = it.clip.K[:, [0, 1], [0, 1]].mean(axis=1)
-    return float(np.median(focal / it.depth)) * it.clip.mesh.diameter / 2.0
 
 
 def _pairwise_iou(hands: Bool[ndarray, "T h w"], pixels: Bool[ndarray, "T h w"]) -> Float[ndarray, "T T"]:

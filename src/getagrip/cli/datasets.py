@@ -17,7 +17,6 @@ from getagrip.batch.import_dataset import import_clips
 from getagrip.batch.scheduling import Executors, SchedulingOptions
 from getagrip.cli.command import Command
 from getagrip.cli.import_files import ImportCameras, ImportDepth, ImportMasks, ImportSegments
-from getagrip.fitting.solver import initial_poses
 from getagrip.io.options import Folder, OptionalFolder
 from getagrip.io.plugins import PluginTable
 from getagrip.io.terminal import print_note
@@ -46,6 +45,8 @@ class ImportEpic(EpicGrasps):
         return parts
 
     def _report(self, folder: Path) -> None:
+        from getagrip.fitting.solver import initial_poses  # loads numba
+
         learnt = initial_poses.read_priors_folder(folder)
         kinds = sorted({(grasp.category, grasp.side) for grasp in self.grasps()})
         without = [f"{category} in a {side} hand" for category, side in kinds if not len(learnt.of(category, side))]

@@ -18,28 +18,23 @@ from getagrip.fitting.energy import Energy, HandEnergy, HandTerm, InHand, OnHand
 from getagrip.fitting.energy.contact import HandContacts, PullTerm, PushTerm, farthest_point_sampling
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.fitting.energy.hand_terms import HandMaskTerm, SeenJointsTerm
-from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
+from getagrip.fitting.energy.mask import MaskTerm
 from getagrip.fitting.energy.occlusion_order import HandOrder, OrderTerm, corners_of
 from getagrip.fitting.hand.hand_silhouette import HandSilhouette, hand_crops
 from getagrip.fitting.hand.joint_reprojection import SeenJoints
 from getagrip.fitting.hand.refine_hand import HAND_PIXEL_WEIGHT
 from getagrip.fitting.problem import Problem
-from getagrip.geometry.mesh import decimate
 
 MASK_STEP_PX = {64: 1.0, 128: 2.0, 256: 3.0}
 """Distance of contour points at each level [px of the level]."""
 MIN_CURVATURE_DISTANCE_PX = {64: 2.0, 128: 1.0, 256: 1.0}
 """Distances below this count as this in the curvature of E_mask [px of the crop]."""
-N_REGION_CONTACTS = {64: 8, 128: None, 256: None}
-"""Number of vertices of each contact region in use at each level; None: all."""
-MAX_FINE_FACES = 4000
-"""Maximum number of faces for the silhouettes of the finer levels; larger objects are decimated."""
 PUSH_WEIGHT, PULL_WEIGHT = 0.125, 0.015
 """Fractions of the masks' mean area that push and pull are multiplied by. The paper sums E_mask over pixels, which
 leaves push and pull without effect; the authors' code divides E_mask by the area of the mask instead. Pull has less
 weight: a hand may well not touch the object with all five fingertips, but it cannot enter the object.
 """
-N_CONSISTENCY_REGION_POINTS, N_CONSISTENCY_OBJECT_POINTS = 2, 20
+N_CONSISTENCY_REGION_POINTS, N_CONSISTENCY_OBJECT_POINTS = 2, 8
 """Number of points of each contact region, and of the object, in the term of contact consistency."""
 
 
@@ -100,10 +95,7 @@ def energy_of_nat(problem: Problem) -> float:
 
 def mask_energy(problem: Problem) -> Energy:
     """Return E_mask."""
-    clip, observation, coarse = problem.clip, problem.observation, problem.surface.coarse
-    fine, centre = decimate(clip.mesh, MAX_FINE_FACES), clip.mesh.centre
-    mesh = {64: SilhouetteMesh.of(coarse, centre)}
-    mesh[128] = mesh[256] = mesh[64] if fine is coarse else SilhouetteMesh.of(fine, centre)
+    observation, mesh = problem.observation, problem.surface.silhouettes
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
         step, delta, coverage = MASK_STEP_PX[level], MIN_CURVATURE_DISTANCE_PX[level], 1.0 if level == 64 else 0.0
@@ -131,13 +123,13 @@ def contact_weights(problem: Problem, push: float, pull: float) -> tuple[Float[n
 
 def push_energy(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     """Return our E_push, by its weight in each frame [px^2 / m]."""
-    hands, solid = contacts_by_level(problem), problem.surface.solid
+    hands, solid = problem.contacts, problem.surface.solid
     return lambda level, index: [InHand(PushTerm(solid, hands[level].take(index), weight[index]))]
 
 
 def pull_energy(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     """Return our E_pull, by its weight in each frame [px^2 / m]."""
-    hands, solid, reach = contacts_by_level(problem), problem.surface.solid, problem.trust.reach
+    hands, solid, reach = problem.contacts, problem.surface.solid, problem.trust.reach
     return lambda level, index: [InHand(PullTerm(solid, hands[level].take(index), weight[index], reach))]
 
 
@@ -154,16 +146,11 @@ def depth_order_energy(problem: Problem) -> Energy:
     return lambda level, index: [InHand(OrderTerm(corners, hand.take(index), each[index]))]
 
 
-def contacts_by_level(problem: Problem) -> dict[int, HandContacts]:
-    """Return the hand's contacts, at each level."""
-    return {level: HandContacts.of(problem.clip.hand, count) for level, count in N_REGION_CONTACTS.items()}
-
-
-def distance_consistency_energy(problem: Problem, weight: float) -> Energy:
+def distance_consistency_energy(problem: Problem, weight: float, exact: bool = False) -> Energy:
     """Return the term by which hand and object keep their distances, at any level.
 
     ``weight`` multiplies the mean absolute change of squared distances, besides the focal length and the masks' mean
-    area: 1 in the authors' later code.
+    area: 1 in the authors' later code. ``exact`` as in the term: for motions without a shared pose.
     """
     observation = problem.observation
     vertices = problem.clip.mesh.vertices - problem.clip.mesh.centre
@@ -171,7 +158,7 @@ def distance_consistency_energy(problem: Problem, weight: float) -> Energy:
     hand = HandContacts.of(problem.clip.hand, N_CONSISTENCY_REGION_POINTS)
     # The authors' E_mask is divided by the mask's area, ours is not.
     each = weight * observation.area.mean() * observation.K[:, 0]
-    return lambda level, index: [InHand(ContactConsistencyTerm(points, hand.position[index], each[index]))]
+    return lambda level, index: [InHand(ContactConsistencyTerm(points, hand.position[index], each[index], exact=exact))]
 
 
 def sum_energies(*energies: Energy) -> Energy:

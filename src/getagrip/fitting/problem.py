@@ -24,8 +24,8 @@ from getagrip.clip import (
 )
 from getagrip.clip.masks import occluded_by_hand
 from getagrip.fitting.energy import Energy, Terms
-from getagrip.fitting.energy.contact import CONTACT_GRID_MARGIN_M, build_contact_grid, rms_distances
-from getagrip.fitting.energy.mask import GAP_SHARE, Observation, masks_leave_gaps, observe_masks
+from getagrip.fitting.energy.contact import CONTACT_GRID_MARGIN_M, HandContacts, build_contact_grid, rms_distances
+from getagrip.fitting.energy.mask import GAP_SHARE, Observation, SilhouetteMesh, masks_leave_gaps, observe_masks
 from getagrip.fitting.hand.hand_error_model import SolvedHand, interpolate_solved_hand
 from getagrip.fitting.hand.refine_hand import HandRefinement, refine_hand
 from getagrip.fitting.motion import Motion, PosesInHand
@@ -39,8 +39,11 @@ from getagrip.io.terminal import format_count
 from getagrip.provenance import assumptions, is_assumed, kind_of_hands
 from getagrip.result import Axis, Status
 
-MAX_COARSE_FACES = 1000
-"""Maximum number of faces for contact and for 64-pixel silhouettes; larger objects are decimated."""
+MAX_FACES = {64: 600, 128: 1000, 256: 4000}
+"""Maximum number of faces for silhouettes of each level; larger objects are decimated. Contact has those of 128 pixels.
+"""
+N_REGION_CONTACTS = {64: 8, 128: None, 256: None}
+"""Number of vertices of each contact region in use at each level; None: all."""
 N_SURFACE_POINTS = 48
 """Number of surface points that distances between poses are averaged over."""
 HALF_TURN_DISTANCE_RANGE = (0.003, 0.06)
@@ -65,13 +68,15 @@ class ObjectSurface:
     """The surface of a rigid object, by which the search measures distances between poses.
 
     Attributes:
-        coarse: the mesh, decimated.
+        mesh: the mesh.
+        coarse: the mesh, decimated for contact and the middle level.
         solid: its surface about the centre of the input mesh.
         points: (P, 3) points of the surface, about that centre.
         axes: (3, 3) principal axes of the vertices, one a row.
         diameter: of the mesh [m].
     """
 
+    mesh: Mesh
     coarse: Mesh
     solid: FaceGrid
     points: Float[ndarray, "P 3"]
@@ -81,11 +86,20 @@ class ObjectSurface:
     @staticmethod
     def of(mesh: Mesh) -> ObjectSurface:
         """Sample the surface of a mesh, about ``mesh.centre``."""
-        coarse = decimate(mesh, MAX_COARSE_FACES)
+        coarse = decimate(mesh, MAX_FACES[128])
         about = mesh.vertices - mesh.centre
         _, axes = np.linalg.eigh(np.cov(about.T))
         spread = np.linspace(0, len(about) - 1, min(N_SURFACE_POINTS, len(about))).round().astype(int)
-        return ObjectSurface(coarse, build_contact_grid(coarse, mesh.centre), about[spread], axes.T, mesh.diameter)
+        return ObjectSurface(
+            mesh, coarse, build_contact_grid(coarse, mesh.centre), about[spread], axes.T, mesh.diameter
+        )
+
+    @cached_property
+    def silhouettes(self) -> dict[int, SilhouetteMesh]:
+        """Tables of the mesh for silhouettes, at each level of pixels."""
+        fine, rough = (decimate(self.mesh, MAX_FACES[level]) for level in (256, 64))  # a mesh decimated twice is worse
+        meshes = {64: rough, 128: self.coarse, 256: fine}
+        return {level: SilhouetteMesh.of(mesh, self.mesh.centre) for level, mesh in meshes.items()}
 
     @cached_property
     def half_turns(self) -> Float[ndarray, "T 3 3"]:
@@ -205,6 +219,11 @@ class Problem:
     def evidence(self) -> tuple[Terms, ...]:
         """Terms of each modality that has data."""
         return tuple(terms for modality in modalities() if (terms := modality.terms(self)) is not None)
+
+    @cached_property
+    def contacts(self) -> dict[int, HandContacts]:
+        """The hand's contacts, at each level."""
+        return {level: HandContacts.of(self.clip.hand, count) for level, count in N_REGION_CONTACTS.items()}
 
     @property
     def input_masks(self) -> Masks:

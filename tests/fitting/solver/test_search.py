@@ -26,14 +26,16 @@ from getagrip.fitting.solver.search import (
     Stage,
     drawn_rotations,
     explore_rotations,
+    starts_have_met,
     suppress_duplicates,
     within_factor,
 )
-from getagrip.fitting.solver.solve import minimise
+from getagrip.fitting.solver.solve import Solution, minimise
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.contact import signed_distance
 from getagrip.reconstruct import reconstruct
+from getagrip.result import Status
 from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
 from helpers.clips import box
 from helpers.scenes import SHORT, SMALL, scene, scores
@@ -55,6 +57,23 @@ def test_near_copies_of_a_better_hypothesis_are_dropped() -> None:
     np.testing.assert_array_equal(suppress_duplicates(motion.poses(), energy, box_surface(), keep=9), [1, 3, 2])
     np.testing.assert_array_equal(suppress_duplicates(motion.poses(), energy, box_surface(), keep=2), [1, 3])
     assert len(suppress_duplicates(motion.poses(), np.full(5, np.inf), box_surface(), keep=2)) == 0
+
+
+def test_rounds_end_where_two_starts_have_met_far_ahead_of_the_others() -> None:
+    eye = np.tile(np.eye(3), (4, 1, 1))
+    centre = np.array([[0.0, 0, 0], [1e-3, 0, 0], [0.05, 0, 0], [0.1, 0, 0]])
+
+    def met(energy: list[float], independent: int = 4) -> bool:
+        motion = Fixed(eye, centre, np.zeros(4), 3)
+        found = Solution(motion, np.array(energy), {}, [Status.CONVERGED] * 4, 0)
+        return starts_have_met(found, independent, box_surface())
+
+    assert met([1.0, 1.2, 1.6, 2.0])
+    assert met([1.0, 1.2, np.inf, np.inf])
+    assert not met([1.0, 1.2, 1.4, 2.0])  # another pose is too near
+    assert not met([1.6, 1.2, 1.0, 2.0])  # only one start is in the best
+    assert not met([1.0, 1.2, 1.6, 2.0], independent=1)  # the second was rotated out of the first
+    assert not met([np.inf] * 4)
 
 
 def test_the_distance_of_two_poses_is_that_of_points_to_the_posed_mesh() -> None:

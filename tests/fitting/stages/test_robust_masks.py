@@ -6,15 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy import ndarray
 
 from getagrip.bench.inputs.perturbations import displace_mask
+from getagrip.clip import with_masks
 from getagrip.fitting.energy.mask import SilhouetteMesh
+from getagrip.fitting.methods import METHODS
+from getagrip.fitting.methods.all_frames import refit_hinge
 from getagrip.fitting.motion import PosesInHand
 from getagrip.fitting.options import Options
+from getagrip.fitting.problem import MethodResult, Problem, prepare_problem
 from getagrip.fitting.stages.robust_masks import (
     OUTLIER_AREA_FRACTION,
     OUTLIER_MEDIAN_FACTOR,
     MaskOverlap,
+    fit_without_outliers,
     mask_overlap,
     medoid_poses,
     outlier_threshold,
@@ -49,6 +55,32 @@ def test_wrong_masks_are_left_out_and_named(method: str) -> None:
     believing = reconstruct(clip, spoilt, replace(options, masks="as-given"))
     assert not np.isnan(believing.iou).any()
     assert scores(believing, clip, masks)["add_sym_mm"] > 2.0 * off
+
+
+@pytest.mark.parametrize(("wrong", "again"), [([5], "refit"), ([2, 5, 8], "fit")])
+def test_a_fit_without_few_masks_begins_at_the_fit_before(wrong: list[int], again: str) -> None:
+    """More outliers may have led the fit astray."""
+    clip, masks = scene("bottle", 1, replace(SMALL, frames=12))
+    spoilt = masks.object.copy()
+    for n in wrong:
+        spoilt[n] = displace_mask(masks.object[n], np.array([0.6, -0.8]))
+    options = Options(inits=4, mesh="as-given")
+    problem = prepare_problem(with_masks(clip, replace(masks, object=spoilt)), options)
+    method, calls = METHODS[options.method], list[str]()
+
+    def fit(some: Problem) -> MethodResult:
+        calls.append("fit")
+        return method.fit(some, lambda stage: None)
+
+    def refit(some: Problem, found: MethodResult, frames: ndarray) -> MethodResult:
+        calls.append("refit")
+        assert len(frames) == len(some.clip)
+        return refit_hinge(some, found, frames, lambda stage: None)
+
+    left, found = fit_without_outliers(problem, fit, refit)
+    assert calls[:2] == ["fit", again]
+    assert {*left.trust.outliers} >= {clip.frames[n] for n in wrong}
+    assert found.poses.R.shape[1] == len(left.clip)
 
 
 @pytest.mark.parametrize("times", [1.0, 3.0])

@@ -12,6 +12,7 @@ from getagrip.fitting.energy.term import (
     Quadratic,
     Term,
     Terms,
+    Ties,
     no_bound,
 )
 
@@ -27,5 +28,6 @@ __all__ = [
     "Quadratic",
     "Term",
     "Terms",
+    "Ties",
     "no_bound",
 ]

@@ -72,12 +72,16 @@ def find_gap_pixels(
         return np.zeros_like(observed)
     found, touching = np.empty_like(observed), 0
     around = np.ones((2 * MAX_GAP_PX + 1, 2 * MAX_GAP_PX + 1), np.uint8)
+    half = MAX_GAP_PX // 2 + 1  # one of the two is at most this far from a gap's pixel
+    within = around[: 2 * half + 1, : 2 * half + 1]
     for n, (s, h) in enumerate(zip(observed, hidden, strict=True)):
         if not h.any():
             found[n] = False
             continue
         near, near_hidden = (cv2.dilate(m.view(np.uint8), around).view(bool) for m in (s, h))
         found[n] = near & near_hidden & ~(s | h)
+        if found[n].any():
+            found[n] &= cv2.dilate((s | h).view(np.uint8), within).view(bool)
         _keep_gaps(s, h, _OFFSETS, found[n])
         touching += int(np.count_nonzero(cv2.dilate(h.view(np.uint8), around[:3, :3]).view(bool) & s))
     area = int(np.count_nonzero(found))

@@ -26,14 +26,15 @@ Four kinds of terms follow.
 - **On both** (depth up to an unknown scale, which hides which): a ``Term`` that reads ``poses.hand`` itself and answers
   by the first 14 numbers.
 
-Terms that tie frames to each other have a ``Quadratic.cross``, on the hand as on the object. Where the hand is fixed
-(poses without one) ``InHand`` is the term within, and ``OnHand`` is a constant, taken as zero.
+Terms that tie frames to each other have a ``Quadratic.cross`` or ``ties``, on the hand as on the object. Where the hand
+is fixed (poses without one) ``InHand`` is the term within, and ``OnHand`` is a constant, taken as zero.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Protocol
 
 import numpy as np
@@ -89,6 +90,41 @@ class ObjectWithHand(PosesInCamera):
 
 
 @dataclass(frozen=True)
+class Ties:
+    """Hessians between M pairs of frames, of a term that ties few of the frames to each other.
+
+    A dense Hessian between N frames grows by N^2. The solver uses these by what frames share, and bounds them from
+    above by what is each frame's own: ``2 x y <= x^2 + y^2``.
+
+    Attributes:
+        first, second: the two frames of each pair.
+        block: Hessian by the first and the second frame's local vector.
+        bound: what each frame's own Hessian is raised by in place of ``block``.
+    """
+
+    first: Int[ndarray, "M"]
+    second: Int[ndarray, "M"]
+    block: Float[ndarray, "B M P P"]
+    bound: Float[ndarray, "B N P P"]
+
+    def within(self, size: int, first: int) -> Ties:
+        """Embed the pairs' vectors in vectors of ``size`` numbers, their own from ``first`` on."""
+        P = self.block.shape[-1]
+        block, bound = (np.zeros((*part.shape[:2], size, size)) for part in (self.block, self.bound))
+        block[..., first : first + P, first : first + P] = self.block
+        bound[..., first : first + P, first : first + P] = self.bound
+        return Ties(self.first, self.second, block, bound)
+
+    def dense(self) -> Float[ndarray, "B N P N P"]:
+        """Return the Hessian between all frames."""
+        B, N, P = self.bound.shape[:3]
+        cross = np.zeros((B, N, P, N, P))
+        cross[:, self.first, :, self.second] = np.swapaxes(self.block, 0, 1)
+        cross[:, self.second, :, self.first] = np.swapaxes(np.swapaxes(self.block, 0, 1), -1, -2)
+        return cross
+
+
+@dataclass(frozen=True)
 class Quadratic:
     """A term's value [px^2 of the 256-pixel crop] and its derivatives by each frame's local vector, of P numbers."""
 
@@ -97,6 +133,8 @@ class Quadratic:
     H: Float[ndarray, "B N P P"]
     cross: Float[ndarray, "B N P N P"] | None = None
     """Hessian between frames, of terms that tie frames to each other; ``[:, n, :, n]`` is zero, see ``H``."""
+    ties: Ties | None = None
+    """Hessian between pairs of frames, of a term that ties few of them."""
 
     @staticmethod
     def zero(poses: PosesInCamera, size: int = 7) -> Quadratic:
@@ -113,8 +151,18 @@ class Quadratic:
 
     def __add__(self, other: Quadratic) -> Quadratic:
         cross = [a for a in (self.cross, other.cross) if a is not None]
-        total = cross[0] + cross[1] if len(cross) == 2 else cross[0] if cross else None
-        return Quadratic(self.value + other.value, self.g + other.g, self.H + other.H, total)
+        if self.ties is not None and other.ties is not None:
+            cross.append(other.ties.dense())
+        total = reduce(np.add, cross) if cross else None
+        ties = other.ties if self.ties is None else self.ties
+        return Quadratic(self.value + other.value, self.g + other.g, self.H + other.H, total, ties)
+
+    @property
+    def between_frames(self) -> Float[ndarray, "B N P N P"] | None:
+        """The Hessian between frames, of pairs as well."""
+        if self.ties is None:
+            return self.cross
+        return self.ties.dense() if self.cross is None else self.cross + self.ties.dense()
 
     def within(self, size: int, first: int = 0) -> Quadratic:
         """Embed the quadratic in a vector of ``size`` numbers, its own from ``first`` on."""
@@ -127,18 +175,22 @@ class Quadratic:
         if self.cross is not None:
             cross = np.zeros((B, N, size, N, size))
             cross[:, :, part, :, part] = self.cross
-        return Quadratic(self.value, g, H, cross)
+        return Quadratic(self.value, g, H, cross, None if self.ties is None else self.ties.within(size, first))
 
     def take(self, index: ndarray) -> Quadratic:
         """Return some of the hypotheses."""
-        cross = None if self.cross is None else self.cross[index]
-        return Quadratic(self.value[index], self.g[index], self.H[index], cross)
+        cross, ties = None if self.cross is None else self.cross[index], self.ties
+        if ties is not None:
+            ties = replace(ties, block=ties.block[index], bound=ties.bound[index])
+        return Quadratic(self.value[index], self.g[index], self.H[index], cross, ties)
 
     def put(self, index: ndarray, other: Quadratic) -> None:
         """Overwrite some of the hypotheses, in place."""
         self.value[index], self.g[index], self.H[index] = other.value, other.g, other.H
         if self.cross is not None and other.cross is not None:
             self.cross[index] = other.cross
+        if self.ties is not None and other.ties is not None:
+            self.ties.block[index], self.ties.bound[index] = other.ties.block, other.ties.bound
 
 
 class Term(Protocol):

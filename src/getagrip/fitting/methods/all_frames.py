@@ -10,6 +10,8 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
 
 from getagrip.fitting.energy import Energy
 from getagrip.fitting.hand.hand_error_model import SolvedHand
@@ -84,6 +86,19 @@ def soft_hinges(problem: Problem, on_stage: OnStage, more: Energy = NO_TERMS) ->
     ridge = stiffen_ridge(SOFT_RIDGE, misfit_of(problem, search, rough.motion))
     energy = add_contact_consistency(problem, sum_energies(coarse_energy(problem), more))
     return search.fine(soft_hinge_of(problem, search, rough, ridge), energy)
+
+
+def refit_hinge(problem: Problem, found: MethodResult, frames: Float[ndarray, "n"], on_stage: OnStage) -> MethodResult:
+    """Run the fine stages from the solutions of a fit at other frames of the same clip.
+
+    ``frames`` are the places of the problem's frames among that fit's, between two of them where it lacked a frame.
+    """
+    assert found.motion is not None
+    assert found.energy_of is not None
+    motion = found.motion.resampled(np.arange(found.poses.R.shape[1]), frames)
+    again = search_of(problem, on_stage).fine(motion, found.energy_of(problem))
+    hinge = again.motion.core if isinstance(again.motion, Soft) else again.motion
+    return make_method_result(again, hinge if isinstance(hinge, Hinge) else None, found.energy_of)
 
 
 def coarse_fit(problem: Problem, search: Search, more: Energy) -> Solution[Soft[Fixed]]:
@@ -247,7 +262,7 @@ def fit_contact_consistency(problem: Problem, on_stage: OnStage) -> MethodResult
     """
 
     def energy(problem: Problem) -> Energy:
-        consistency = distance_consistency_energy(problem, CONTACT_CONSISTENCY_WEIGHT)
+        consistency = distance_consistency_energy(problem, CONTACT_CONSISTENCY_WEIGHT, exact=True)
         return sum_energies(total_energy(problem, contact=1.0), consistency)
 
     return dynamic(problem, on_stage, energy)

@@ -53,16 +53,14 @@ from getagrip.fitting.methods.homan import (
 from getagrip.fitting.methods.single_frame import fit_each_frame, initial_of_frame
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion
 from getagrip.fitting.objective import (
-    N_REGION_CONTACTS,
     NO_TERMS,
     contact_weights,
-    contacts_by_level,
     mask_energy,
     pull_energy,
     push_energy,
     sum_energies,
 )
-from getagrip.fitting.problem import EnergyOf, MethodResult, Problem
+from getagrip.fitting.problem import N_REGION_CONTACTS, EnergyOf, MethodResult, Problem
 from getagrip.fitting.solver.search import suppress_duplicates
 from getagrip.fitting.solver.solve import Solution, minimise, minimise_by_adam, poses_in_camera
 from getagrip.geometry.kernels.silhouette import silhouettes
@@ -201,7 +199,7 @@ def paper_push_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
 def paper_pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     """Return E_pull of the appendix, by its weight in each frame [px^2 / m]."""
     surface = _centred_vertices_and_normals(problem)
-    hands = contacts_by_level(problem)
+    hands = problem.contacts
     return lambda level, index: [PaperPullTerm(*surface, hands[level].take(index), weight[index])]
 
 

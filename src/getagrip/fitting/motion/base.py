@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol, Self
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from numpy import ndarray
 
 from getagrip.geometry import se3
@@ -27,6 +27,16 @@ class Batch:
 
     def concatenate(self, other: Self) -> Self:
         return self._each(lambda mine, theirs: np.concatenate([mine, theirs]), other)
+
+    def updated(self, rows: Int[ndarray, "n"], other: Self) -> Self:
+        """Replace some of the hypotheses by the other's, of which it has as many."""
+
+        def update(mine: ndarray, theirs: ndarray) -> ndarray:
+            out = mine.copy()
+            out[rows] = theirs
+            return out
+
+        return self._each(update, other)
 
     def where(self, mask: Bool[ndarray, "B"], other: Self) -> Self:
         def choose(mine: ndarray, theirs: ndarray) -> ndarray:
@@ -155,6 +165,10 @@ class Motion(Protocol):
         """Return some of the hypotheses."""
         ...
 
+    def updated(self, rows: Int[ndarray, "n"], other: Self) -> Self:
+        """Replace some of the hypotheses by the other's, of which it has as many."""
+        ...
+
     def concatenate(self, other: Self) -> Self:
         """Return this model's hypotheses, then the other's."""
         ...
@@ -167,7 +181,7 @@ class Motion(Protocol):
         """Return the motion with its scale as a parameter."""
         ...
 
-    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Self:
+    def resampled(self, old: Int[ndarray, "M"], new: Num[ndarray, "N"]) -> Self:
         """Interpolate the motion at other frames (indices into a clip).
 
         Per-frame parameters are interpolated linearly, rotations along the shortest path.

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from numpy import ndarray
 
 from getagrip.fitting.motion.base import Batch, PosesInHand, Prior, no_prior
 from getagrip.geometry import se3
+from getagrip.geometry.kernels.rotations import exp_so3
 
 
 @dataclass(frozen=True)
@@ -48,18 +49,21 @@ class Free(Batch):
     def retract(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Free:
         return replace(
             self,
-            R=se3.exp_so3(local[..., 3:6]) @ self.R,
+            R=exp_so3(local[..., 3:6]) @ self.R,
             centre=self.centre + local[..., :3],
             log_scale=self.log_scale + (shared[:, 0] if self.free_scale else 0.0),
         )
 
-    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Free:
+    def resampled(self, old: Int[ndarray, "M"], new: Num[ndarray, "N"]) -> Free:
         before = np.clip(np.searchsorted(old, new, side="right") - 1, 0, len(old) - 2)
-        share = ((new - old[before]) / (old[before + 1] - old[before]))[:, None]
-        R, centre = self.R[:, before], self.centre[:, before]
-        turn = se3.log_so3(self.R[:, before + 1] @ np.swapaxes(R, -1, -2))
-        centre = centre + share * (self.centre[:, before + 1] - centre)
-        return replace(self, R=se3.exp_so3(share * turn) @ R, centre=centre)
+        return self.mixed(before, before + 1, (new - old[before]) / (old[before + 1] - old[before]))
+
+    def mixed(self, first: Int[ndarray, "N"], second: Int[ndarray, "N"], share: Float[ndarray, "N"]) -> Free:
+        """Interpolate by ``share`` between the first frames and the second; below 0 and above 1, extrapolate."""
+        R, centre = self.R[:, first], self.centre[:, first]
+        turn = se3.log_so3(self.R[:, second] @ np.swapaxes(R, -1, -2))
+        centre = centre + share[:, None] * (self.centre[:, second] - centre)
+        return replace(self, R=exp_so3(share[:, None] * turn) @ R, centre=centre)
 
 
 def interpolate_object_poses(poses: PosesInHand, old: Int[ndarray, "n"], new: Int[ndarray, "m"]) -> PosesInHand:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from numpy import ndarray
 
 from getagrip.fitting.motion.base import Batch, Motion, PosesInHand, Prior
@@ -47,5 +47,5 @@ class Frozen(Batch, Generic[Core]):
         still = np.zeros((len(local), len(self.core.lengths()[0])))
         return replace(self, core=self.core.retract(still, local))
 
-    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Frozen[Core]:
+    def resampled(self, old: Int[ndarray, "M"], new: Num[ndarray, "N"]) -> Frozen[Core]:
         return replace(self, core=self.core.resampled(old, new))

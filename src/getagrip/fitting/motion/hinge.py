@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from numpy import ndarray
 
 from getagrip.fitting.motion.base import Batch, PosesInHand, Prior
 from getagrip.fitting.motion.static import Fixed
-from getagrip.geometry import se3
+from getagrip.geometry.kernels.rotations import cross, exp_so3
 
 ANGLE_RIDGE = 400.0
 """Stiffness of a hinge's angles [px^2 per rad^2]: negligible where a silhouette shows the angle, enough to keep a
@@ -68,13 +68,13 @@ class Hinge(Batch):
         centre = base.centre + v.mean(axis=1)
         if free_location:
             # v_n = angle_n d x (centre - point): least squares for the arm, against 5 degrees of noise per frame.
-            arm = np.cross(np.sum(angle[..., None] * offset, axis=1), direction)
+            arm = cross(np.sum(angle[..., None] * offset, axis=1), direction)
             arm /= np.sum(angle**2, axis=1)[:, None] + v.shape[1] * np.radians(5.0) ** 2
             length = np.linalg.norm(arm, axis=1, keepdims=True)
             point = centre - arm * np.minimum(1.0, 0.1 / np.maximum(length, 1e-9))
         else:
             point = np.broadcast_to(anchor, centre.shape).copy()
-        R = se3.exp_so3(mean[:, 0]) @ base.R
+        R = exp_so3(mean[:, 0]) @ base.R
         return Hinge(R, centre, base.log_scale, point, direction, angle, base.free_scale, free_location, ANGLE_RIDGE)
 
     @property
@@ -83,7 +83,7 @@ class Hinge(Batch):
         return Fixed(self.R, self.centre, self.log_scale, self.angle.shape[1], self.free_scale)
 
     def _swung(self) -> tuple[Float[ndarray, "B N 3 3"], Float[ndarray, "B N 3"]]:
-        turn = se3.exp_so3(self.angle[..., None] * self.direction[:, None])
+        turn = exp_so3(self.angle[..., None] * self.direction[:, None])
         arm = turn @ (self.centre - self.point)[:, None, :, None]
         return turn, self.point[:, None] + arm[..., 0]
 
@@ -104,20 +104,20 @@ class Hinge(Batch):
         arm = centre - self.point[:, None]
         sin, cos = np.sin(self.angle)[..., None, None], np.cos(self.angle)[..., None, None]
         # Turning the direction by a turns frame n by sin(angle) a + (1 - cos(angle)) d x a.
-        spin = sin * orthogonal[:, None] + (1.0 - cos) * np.cross(self.direction[:, None], orthogonal)[:, None]
+        spin = sin * orthogonal[:, None] + (1.0 - cos) * cross(self.direction[:, None], orthogonal)[:, None]
         columns = 6 + self.free_scale + 2 + 2 * self.free_location
         J = np.zeros((B, N, 7, columns))
         J[..., :3, :3] = J[..., 3:6, 3:6] = turn
         if self.free_scale:
             J[..., 6, 6] = 1.0
         k = 6 + self.free_scale
-        J[..., :3, k : k + 2] = np.swapaxes(np.cross(spin, arm[:, :, None]), -1, -2)
+        J[..., :3, k : k + 2] = np.swapaxes(cross(spin, arm[:, :, None]), -1, -2)
         J[..., 3:6, k : k + 2] = np.swapaxes(spin, -1, -2)
         if self.free_location:
             shift = np.swapaxes(orthogonal, -1, -2)[:, None]
             J[..., :3, k + 2 :] = shift - turn @ shift
         local = np.zeros((B, N, 7, 1))
-        local[..., :3, 0] = np.cross(self.direction[:, None], arm)
+        local[..., :3, 0] = cross(self.direction[:, None], arm)
         local[..., 3:6, 0] = self.direction[:, None]
         return J, local
 
@@ -136,11 +136,11 @@ class Hinge(Batch):
         orthogonal = tangents(self.direction)
         k = 6 + self.free_scale
         tilt = np.einsum("bk,bki->bi", shared[:, k : k + 2], orthogonal)
-        turn = se3.exp_so3(np.cross(self.direction, tilt))
+        turn = exp_so3(cross(self.direction, tilt))
         shift = np.einsum("bk,bki->bi", shared[:, k + 2 :], orthogonal) if self.free_location else 0.0
         return replace(
             self,
-            R=se3.exp_so3(shared[:, 3:6]) @ self.R,
+            R=exp_so3(shared[:, 3:6]) @ self.R,
             centre=self.centre + shared[:, :3],
             log_scale=self.log_scale + (shared[:, 6] if self.free_scale else 0.0),
             point=self.point + shift,
@@ -151,7 +151,7 @@ class Hinge(Batch):
     def zero_mean(self) -> Hinge:
         """Return the motion with angles of zero mean and the line's point nearest to the object's centre."""
         mean = self.angle.mean(axis=1)
-        turn = se3.exp_so3(mean[:, None] * self.direction)
+        turn = exp_so3(mean[:, None] * self.direction)
         centre = self.point + (turn @ (self.centre - self.point)[..., None])[..., 0]
         along = np.sum((centre - self.point) * self.direction, axis=1, keepdims=True)
         return replace(
@@ -162,13 +162,13 @@ class Hinge(Batch):
             point=self.point + along * self.direction if self.free_location else self.point,
         )
 
-    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Hinge:
+    def resampled(self, old: Int[ndarray, "M"], new: Num[ndarray, "N"]) -> Hinge:
         return replace(self, angle=np.stack([np.interp(new, old, angle) for angle in self.angle]))
 
 
 def tangents(direction: Float[ndarray, "B 3"]) -> Float[ndarray, "B 2 3"]:
     """Return two unit vectors orthogonal to each unit vector, and to each other."""
     helper = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
-    first = np.cross(direction, helper)
+    first = cross(direction, helper)
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    return np.stack([first, np.cross(direction, first)], axis=-2)
+    return np.stack([first, cross(direction, first)], axis=-2)

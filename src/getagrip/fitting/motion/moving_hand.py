@@ -7,12 +7,13 @@ from functools import cached_property
 from typing import Generic, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from numpy import ndarray
 
 from getagrip.clip import HandTrack
 from getagrip.fitting.motion.base import Batch, HandPoses, Motion, PosesInHand, Prior
 from getagrip.geometry import se3
+from getagrip.geometry.kernels.rotations import exp_so3, left_jacobian
 
 Core = TypeVar("Core", bound=Motion)
 
@@ -118,7 +119,7 @@ class MovingHand(Batch, Generic[Core]):
         grasped = self.core.poses()
         arm = (grasped.centre - assumed.middle) / size[:, None, None]
         grasped = PosesInHand(grasped.R, assumed.middle + arm, grasped.scale / size)
-        return HandPoses(se3.exp_so3(x[..., TURN_SLICE]), assumed.middle + shift, size, grasped, assumed)
+        return HandPoses(exp_so3(x[..., TURN_SLICE]), assumed.middle + shift, size, grasped, assumed)
 
     def poses(self) -> PosesInHand:
         grasped, hand = self.core.poses(), self._hand()
@@ -139,7 +140,7 @@ class MovingHand(Batch, Generic[Core]):
         size[..., 14:17, 0], size[..., [13, 20], 0] = self.assumed.middle - hand.grasped.centre, [1.0, -1.0]
         J = np.zeros((B, N, 21, 7))
         J[..., 7:10, SHIFT_SLICE], J[..., 7:10, RAY_SHIFT_INDEX] = np.eye(3), self.assumed.rays[self.assumed.frames]
-        J[..., 10:13, TURN_SLICE] = se3.left_jacobian((self.constant[:, None, :-1] + self.own)[..., TURN_SLICE])
+        J[..., 10:13, TURN_SLICE] = left_jacobian((self.constant[:, None, :-1] + self.own)[..., TURN_SLICE])
         # An object at rest in the hand moves with the hand.
         J[..., :3, :] = J[..., 7:10, :] - se3.hat(object_.centre - hand.centre) @ J[..., 10:13, :]
         J[..., 3:6, :] = J[..., 10:13, :]
@@ -192,7 +193,7 @@ class MovingHand(Batch, Generic[Core]):
         core = self.core.retract(shared[:, :S], local[..., :L])
         return replace(self, core=core, constant=moved[0], own=moved[1])
 
-    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> MovingHand[Core]:
+    def resampled(self, old: Int[ndarray, "M"], new: Num[ndarray, "N"]) -> MovingHand[Core]:
         between = [[np.interp(new, old, column) for column in x.T] for x in self.own]
         core, own = self.core.resampled(old, new), np.swapaxes(np.array(between), 1, 2)
         return replace(self, core=core, own=own, assumed=self.assumed.at(new))

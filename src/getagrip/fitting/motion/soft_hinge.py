@@ -6,11 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from numpy import ndarray
 
+from getagrip.compiling import kernel
 from getagrip.fitting.motion.base import Batch, Motion, PosesInHand, Prior
 from getagrip.geometry import se3
+from getagrip.geometry.kernels.rotations import exp_so3, left_jacobian
 
 Core = TypeVar("Core", bound=Motion)
 
@@ -42,7 +44,7 @@ class Soft(Batch, Generic[Core]):
 
     def poses(self) -> PosesInHand:
         core_poses = self.core.poses()
-        R = se3.exp_so3(self.deviation[..., 3:]) @ core_poses.R
+        R = exp_so3(self.deviation[..., 3:]) @ core_poses.R
         return PosesInHand(R, core_poses.centre + self.deviation[..., :3], core_poses.scale)
 
     def rotated(self, R: Float[ndarray, "B 3 3"]) -> Soft[Core]:
@@ -53,12 +55,11 @@ class Soft(Batch, Generic[Core]):
 
     def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
         shared, angles = self.core.jacobian()
-        turn = se3.exp_so3(self.deviation[..., 3:])
         B, N = self.deviation.shape[:2]
-        own = np.zeros((B, N, 7, 6))
-        own[..., :3, :3] = np.eye(3)
-        own[..., 3:6, 3:] = se3.left_jacobian(self.deviation[..., 3:])
-        return _rotate_jacobian(turn, shared), np.concatenate([_rotate_jacobian(turn, angles), own], axis=-1)
+        turned, own = np.empty(shared.shape), np.zeros((B, N, 7, angles.shape[-1] + 6))
+        turn, left = exp_so3(self.deviation[..., 3:]), left_jacobian(self.deviation[..., 3:])
+        _soft_jacobian(*map(np.ascontiguousarray, (turn, left, shared, angles)), turned, own)
+        return turned, own
 
     def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
         shared, angles = self.core.lengths()
@@ -81,10 +82,30 @@ class Soft(Batch, Generic[Core]):
         core = self.core.retract(shared, local[..., :-6])
         return replace(self, core=core, deviation=self.deviation + local[..., -6:])
 
-    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Soft[Core]:
+    def resampled(self, old: Int[ndarray, "M"], new: Num[ndarray, "N"]) -> Soft[Core]:
         between = [[np.interp(new, old, column) for column in d.T] for d in self.deviation]
         return replace(self, core=self.core.resampled(old, new), deviation=np.swapaxes(between, 1, 2))
 
 
-def _rotate_jacobian(turn: Float[ndarray, "B N 3 3"], J: Float[ndarray, "B N 7 k"]) -> Float[ndarray, "B N 7 k"]:
-    return np.concatenate([J[..., :3, :], turn @ J[..., 3:6, :], J[..., 6:, :]], axis=-2)
+@kernel("f4 f4 f4 f4 f4 f4")
+def _soft_jacobian(turn, left, shared, angles, turned, own):
+    """Turn the rows of rotation of the core's Jacobians, and append those of the deviations to each frame's own."""
+    B, N = turn.shape[:2]
+    L = angles.shape[3]
+    for b in range(B):
+        for n in range(N):
+            _turn_rotation(turn[b, n], shared[b, n], turned[b, n])
+            _turn_rotation(turn[b, n], angles[b, n], own[b, n])
+            for i in range(3):
+                own[b, n, i, L + i] = 1.0
+                for j in range(3):
+                    own[b, n, 3 + i, L + 3 + j] = left[b, n, i, j]
+
+
+@kernel()
+def _turn_rotation(turn, J, out):
+    for j in range(J.shape[1]):
+        for i in range(3):
+            out[i, j] = J[i, j]
+            out[3 + i, j] = turn[i, 0] * J[3, j] + turn[i, 1] * J[4, j] + turn[i, 2] * J[5, j]
+        out[6, j] = J[6, j]

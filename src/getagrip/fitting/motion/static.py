@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from numpy import ndarray
 
 from getagrip.fitting.motion.base import Batch, PosesInHand, Prior, no_prior
-from getagrip.geometry import se3
+from getagrip.geometry.kernels.rotations import exp_so3
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,10 @@ class Fixed(Batch):
     def retract(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Fixed:
         return replace(
             self,
-            R=se3.exp_so3(shared[:, 3:6]) @ self.R,
+            R=exp_so3(shared[:, 3:6]) @ self.R,
             centre=self.centre + shared[:, :3],
             log_scale=self.log_scale + (shared[:, 6] if self.free_scale else 0.0),
         )
 
-    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Fixed:
+    def resampled(self, old: Int[ndarray, "M"], new: Num[ndarray, "N"]) -> Fixed:
         return replace(self, frames=len(new))

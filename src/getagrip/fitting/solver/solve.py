@@ -29,6 +29,7 @@ from numpy import ndarray
 from getagrip import least_squares
 from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, Quadratic, Term
 from getagrip.fitting.motion import HandPoses, Motion, PosesInHand, transform_poses
+from getagrip.fitting.solver.damped_step import damped_steps
 from getagrip.least_squares import DEFAULT_DAMPING_RULES, BlockArrow, DampingRules, Ending
 from getagrip.result import Status
 
@@ -120,14 +121,12 @@ class _MotionState(Generic[M]):
     def accept(self, trial: _MotionState[M], active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> _MotionState[M]:
         if not better.any():
             return self
-        rows = active[better]
-        position = np.zeros(len(self.values), int)
-        position[active] = np.arange(len(active))
-        accepted = np.zeros(len(self.values), bool)
-        accepted[rows] = True
-        motion = trial.motion.take(position).where(accepted, self.motion)
-        self.local.put(rows, trial.local.take(np.flatnonzero(better)))
+        rows, chosen = active[better], np.flatnonzero(better)
+        if len(rows) == len(self.values):
+            return trial
+        self.local.put(rows, trial.local.take(chosen))
         self.values[rows] = trial.values[better]
+        motion = self.motion.updated(rows, trial.motion.take(chosen))
         return replace(self, motion=motion)
 
 
@@ -190,6 +189,12 @@ def _damped_step(
 ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
     """Solve for the damped Gauss-Newton step of the shared and per-frame parameters, cut to the maximum step."""
     J_shared, J_local = motion.jacobian()
+    prior = motion.prior()
+    if local.cross is None and prior.cross is None and J_local.shape[2] == 7:
+        R_cam_hand = T_cam_hand[:, :3, :3]
+        return damped_steps(
+            J_shared, J_local, local, prior, R_cam_hand, damping, CURVATURE_FLOOR, MAX_ROTATION_STEP_RAD
+        )
     shared, per_frame = _motion_equations(motion, J_shared, J_local, local, T_cam_hand).step(damping, CURVATURE_FLOOR)
     moved = (J_shared @ shared[:, None, :, None] + J_local @ per_frame[..., None])[..., 0]
     if moved.shape[-1] > 7:
@@ -208,7 +213,7 @@ def _motion_equations(
 ) -> BlockArrow:
     """Sum the normal equations of the motion's parameters, with its own prior."""
     prior, J = motion.prior(), jacobian_in_camera(J_shared, J_local, T_cam_hand)
-    arrow = BlockArrow.by(J, J_shared.shape[-1], local.H, local.g, local.cross)
+    arrow = BlockArrow.by(J, J_shared.shape[-1], local.H, local.g, local.between_frames)
     arrow = arrow.plus(H_ll=prior.H, g_l=prior.g, cross=prior.cross)
     if prior.diagonal_shared is None:
         return arrow

@@ -8,9 +8,8 @@ the object, where the mask is an outlier, and for methods without a motion model
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial, reduce
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -97,7 +96,7 @@ def extend_to_every_frame(clip: Clip, problem: Problem, found: MethodResult, tra
         if found.motion is not None and found.energy_of is not None:
             at = _neighbouring_frames(known, index)
             near = PosesInHand(R[:, at], centre[:, at], found.poses.scale)
-            beside = partial(_bending_term, part, index, near, at, smooth) if smooth > 0.0 else None
+            beside = _bending_term(part, index, near, at, smooth) if smooth > 0.0 else None
             fitted = fit_frame_parameters(part, found, sampled, index, beside)
             poses, angles = fitted.poses(), fitted.angles()
             if angles is not None:
@@ -129,23 +128,21 @@ def fit_frame_parameters(
     found: MethodResult,
     sampled: Int[ndarray, "n"],
     index: Int[ndarray, "m"],
-    beside: Callable[[int], Term] | None = None,
+    beside: Term | None = None,
 ) -> Motion:
     """Fit the motions of the frames ``sampled`` of a clip in the problem's frames, which are the clip's ``index``.
 
-    Only each frame's own parameters are fitted; ``beside`` makes the term that ties a hypothesis to neighbouring
-    frames.
+    Only each frame's own parameters of the best motion are fitted, those of the others are interpolated; ``beside`` is
+    a term that ties the best to neighbouring frames.
     """
     assert found.motion is not None
     assert found.energy_of is not None
     motion: Frozen[Motion] = Frozen(found.motion.resampled(sampled, index))
     energy, everywhere = found.energy_of(problem), np.arange(len(index))
     for level, iterations in REMAINING_FRAMES_STAGES if len(motion.lengths()[1]) else ():
-        terms, fitted = energy(level, everywhere), []
-        for k in range(len(motion.poses().scale)):
-            tied = [*terms, *([] if beside is None else [beside(k)])]
-            fitted.append(minimise(motion.take(np.array([k])), tied, problem.clip.hand.T_cam_hand, iterations).motion)
-        motion = reduce(Frozen.concatenate, fitted)
+        terms = [*energy(level, everywhere), *([] if beside is None else [beside])]
+        best = minimise(motion.take(np.zeros(1, int)), terms, problem.clip.hand.T_cam_hand, iterations).motion
+        motion = best.concatenate(motion.take(np.arange(1, len(motion.poses().scale))))
     return motion.core
 
 
@@ -161,12 +158,11 @@ def _bending_term(
     known: PosesInHand,
     at: Int[ndarray, "n"],
     weight: float,
-    hypothesis: int,
 ) -> Term:
-    """Return the term on the bending of the object's motion in the hand, at and between known frames."""
+    """Return the term on the bending of the best motion in the hand, at and between known frames."""
     mesh = problem.clip.mesh
     spread = vertex_moments(mesh.vertices - mesh.centre)
-    term = BendingTerm(spread, weight, index, at, known.R[hypothesis], known.centre[hypothesis])
+    term = BendingTerm(spread, weight, index, at, known.R[0], known.centre[0])
     return TermInFrame(term, se3.inverse(problem.clip.hand.T_cam_hand))
 
 

@@ -42,6 +42,8 @@ N_NEIGHBOUR_FRAMES = 6
 """Number of frames on either side, beside the frame itself, that determine the typical pose."""
 MAX_OUTLIER_FITS = 4
 """Maximum number of fits, the first one with all masks."""
+MAX_REFIT_CHANGE = 0.1
+"""Share of the masks up to which the next fit without outliers begins at the fit before."""
 MIN_OUTLIER_FIT_FRAMES = 4
 """Minimum number of frames that outliers can be determined from."""
 OUTLIER_AREA_FRACTION, OUTLIER_MEDIAN_FACTOR = 0.3, 4.0
@@ -49,10 +51,15 @@ OUTLIER_AREA_FRACTION, OUTLIER_MEDIAN_FACTOR = 0.3, 4.0
 than this multiple of the median mask's difference. Chosen on DexYCB's training subjects."""
 
 
-def fit_without_outliers(problem: Problem, fit: Callable[[Problem], MethodResult]) -> tuple[Problem, MethodResult]:
+def fit_without_outliers(
+    problem: Problem,
+    fit: Callable[[Problem], MethodResult],
+    refit: Callable[[Problem, MethodResult, Float[ndarray, "n"]], MethodResult],
+) -> tuple[Problem, MethodResult]:
     """Fit the problem without outlier masks; return the problem in the remaining frames, and its fit.
 
-    Raises what ``fit`` raises.
+    Where few masks leave or come back, ``refit`` begins at the fit before, given with the indices of the problem's
+    frames in that fit's. More of them may have led it astray, so the search is made anew. Raises what ``fit`` raises.
     """
     everywhere = np.arange(len(problem.clip))
     found, some, used, limit = fit(problem), problem, everywhere, np.inf
@@ -68,12 +75,20 @@ def fit_without_outliers(problem: Problem, fit: Callable[[Problem], MethodResult
         inliers = np.flatnonzero(met.differing <= limit)
         if np.array_equal(inliers, used):
             break
-        used = inliers
+        changed, before, used = np.setxor1d(inliers, used), used, inliers
         some = problem.at(problem.clip.take(used))
-        found = fit(some)
+        if len(changed) <= MAX_REFIT_CHANGE * len(everywhere) and can_refit(found):
+            found = refit(some, found, np.interp(used, before, np.arange(len(before))))
+        else:
+            found = fit(some)
     names = tuple(name for n, name in enumerate(problem.clip.frames) if n not in used)
     some = some.as_found(found)
     return replace(some, trust=replace(some.trust, outliers=names, outlier_threshold=limit)), found
+
+
+def can_refit(found: MethodResult) -> bool:
+    """Return whether a fit can begin at this one: a motion of the input mesh in the input hand."""
+    return found.motion is not None and found.energy_of is not None and found.warp is None and found.hand is None
 
 
 def outlier_threshold(met: MaskOverlap) -> float:
@@ -183,23 +198,26 @@ class NeighbourPrediction:
 
     def between(self, at: Int[ndarray, "m"]) -> PosesInHand:
         """Interpolate each frame's pose in the camera between the nearest other frames; extrapolate at the ends."""
-        R, centre = np.empty((1, len(at), 3, 3)), np.empty((1, len(at), 3))
-        for m, place in enumerate(at):
-            R[0, m], centre[0, m] = self._from_others(place)
-        return PosesInHand(R, centre, self.in_camera.scale)
-
-    def _from_others(self, place: int) -> tuple[Float[ndarray, "3 3"], Float[ndarray, "3"]]:
-        others = np.flatnonzero(self.at != place)
-        known = Free(self.in_camera.R[:, others], self.in_camera.centre[:, others], np.log(self.in_camera.scale))
-        found = known.resampled(self.at[others], np.array([place]))
-        return found.R[0, 0], found.centre[0, 0]
+        place = np.searchsorted(self.at, at)
+        known = np.append(self.at, -1)[place] == at  # such a frame itself does not count
+        before = np.clip(place - 1, 0, len(self.at) - 2 - known)
+        after = before + 1
+        before, after = (n + (known & (n >= place)) for n in (before, after))
+        share = (at - self.at[before]) / (self.at[after] - self.at[before])
+        free = Free(self.in_camera.R, self.in_camera.centre, np.log(self.in_camera.scale)).mixed(before, after, share)
+        return PosesInHand(free.R, free.centre, self.in_camera.scale)
 
 
 def medoid_poses(poses: PosesInHand, points: Float[ndarray, "P 3"]) -> PosesInHand:
     """Choose for each frame of one hypothesis the medoid of its pose and its neighbours' poses."""
     x = float(poses.scale[0]) * points @ np.swapaxes(poses.R[0], -1, -2) + poses.centre[0, :, None]
-    apart = np.sqrt(np.mean(np.sum((x[:, None] - x[None]) ** 2, axis=-1), axis=-1))
-    frame = np.arange(len(x))
-    near = [np.flatnonzero(np.abs(frame - n) <= N_NEIGHBOUR_FRAMES) for n in frame]
-    chosen = [some[apart[np.ix_(some, some)].sum(axis=1).argmin()] for some in near]
+    N, steps = len(x), np.arange(-N_NEIGHBOUR_FRAMES, N_NEIGHBOUR_FRAMES + 1)
+    apart = np.zeros((2 * N_NEIGHBOUR_FRAMES + 1, N))  # of each frame, to the frame this number of steps later
+    for step in range(1, min(len(apart), N)):
+        apart[step, :-step] = np.sqrt(np.mean(np.sum((x[step:] - x[:-step]) ** 2, axis=-1), axis=-1))
+    near = np.arange(N)[:, None] + steps
+    outside = (near < 0) | (near >= N)
+    one, other = np.broadcast_arrays(np.clip(near, 0, N - 1)[:, :, None], np.clip(near, 0, N - 1)[:, None])
+    between = np.where(outside[:, None], 0.0, apart[np.abs(one - other), np.minimum(one, other)])
+    chosen = near[np.arange(N), np.where(outside, np.inf, between.sum(axis=-1)).argmin(axis=1)]
     return PosesInHand(poses.R[:, chosen], poses.centre[:, chosen], poses.scale)
