@@ -177,7 +177,7 @@ def test_the_frame_of_the_world_does_not_matter() -> None:
     assert apart(before_camera(found, clip), before_camera(expected(), clip)) < 0.1
     (one, two) = (result.segments[0].T_world_obj for result in (expected(), found))
     lies, there = (se3.transform(pose, clip.mesh.vertices)[None] for pose in (T @ one, two))
-    assert apart(lies, there) < 0.05
+    assert apart(lies, there) < 0.1
 
 
 @pytest.mark.slow
