@@ -39,9 +39,8 @@ from getagrip.io.terminal import format_count
 from getagrip.provenance import assumptions, is_assumed, kind_of_hands
 from getagrip.result import Axis, Status
 
-MAX_FACES = {64: 600, 128: 1000, 256: 4000}
-"""Maximum number of faces for silhouettes of each level; larger objects are decimated. Contact has those of 128 pixels.
-"""
+MAX_COARSE_FACES, MAX_FINE_FACES = 1000, 4000
+"""Maximum number of faces for contact and silhouettes of 64 and 128 pixels, and of 256; larger meshes are decimated."""
 N_REGION_CONTACTS = {64: 8, 128: None, 256: None}
 """Number of vertices of each contact region in use at each level; None: all."""
 N_SURFACE_POINTS = 48
@@ -69,7 +68,7 @@ class ObjectSurface:
 
     Attributes:
         mesh: the mesh.
-        coarse: the mesh, decimated for contact and the middle level.
+        coarse: the mesh, decimated for contact and the coarser levels.
         solid: its surface about the centre of the input mesh.
         points: (P, 3) points of the surface, about that centre.
         axes: (3, 3) principal axes of the vertices, one a row.
@@ -86,7 +85,7 @@ class ObjectSurface:
     @staticmethod
     def of(mesh: Mesh) -> ObjectSurface:
         """Sample the surface of a mesh, about ``mesh.centre``."""
-        coarse = decimate(mesh, MAX_FACES[128])
+        coarse = decimate(mesh, MAX_COARSE_FACES)
         about = mesh.vertices - mesh.centre
         _, axes = np.linalg.eigh(np.cov(about.T))
         spread = np.linspace(0, len(about) - 1, min(N_SURFACE_POINTS, len(about))).round().astype(int)
@@ -97,9 +96,8 @@ class ObjectSurface:
     @cached_property
     def silhouettes(self) -> dict[int, SilhouetteMesh]:
         """Tables of the mesh for silhouettes, at each level of pixels."""
-        fine, rough = (decimate(self.mesh, MAX_FACES[level]) for level in (256, 64))  # a mesh decimated twice is worse
-        meshes = {64: rough, 128: self.coarse, 256: fine}
-        return {level: SilhouetteMesh.of(mesh, self.mesh.centre) for level, mesh in meshes.items()}
+        coarse = SilhouetteMesh.of(self.coarse, self.mesh.centre)
+        return {64: coarse, 128: coarse, 256: SilhouetteMesh.of(decimate(self.mesh, MAX_FINE_FACES), self.mesh.centre)}
 
     @cached_property
     def half_turns(self) -> Float[ndarray, "T 3 3"]:

@@ -342,7 +342,7 @@ class Person:
     """A person's right hand; the left one is its mirror image.
 
     Attributes:
-        model: hand model, with the vertices, faces and regions of the generic hand, elsewhere.
+        model: hand model, with the generic hand's number of vertices, faces and regions.
         yields: depth to which the flesh yields at contacts [m].
     """
 

@@ -190,5 +190,5 @@ def test_where_the_mesh_does_not_meet_the_masks_the_other_frames_follow_their_ne
     rough, alone = bent()
     sampled = alone.frames_of("sampled")
     np.testing.assert_array_equal(followed.T_hand_obj[sampled], alone.T_hand_obj[sampled])
-    assert smooth < 0.95 * rough
+    assert smooth < 0.9 * rough
     assert followed.iou.mean() > alone.iou.mean() - 0.02
