@@ -56,7 +56,7 @@ def test_it_is_not_known_without_a_motion() -> None:
 
 
 def rather(clip: Clip, masks: Masks, method: str = "soft-hinge") -> tuple[float, float]:
-    problem = prepare_problem(with_masks(clip, masks), Options(method=method, inits=10))
+    problem = prepare_problem(with_masks(clip, masks), Options(method=method, inits=20))
     return scale_check(problem, METHODS[method].fit(problem, lambda _: None))
 
 
