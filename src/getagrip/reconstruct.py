@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from getagrip.checks import INPUT_CHECKS, Evidence, compute_features, input_checks, result_checks, run_checks
 from getagrip.checks.timeline_checks import GRASP_CHECKS
-from getagrip.clip import Clip, Masks, check_clip, check_masks, with_masks
+from getagrip.clip import Clip, Masks, check_clip, check_masks, read_masks, with_masks
 from getagrip.compiling import COMPILATION_MESSAGE, compile_once
 from getagrip.errors import GetagripError, InputError, UsageError, check_arguments
 from getagrip.fitting.hand.joint_hand_object import restore_object_size, with_hand_size
@@ -44,6 +44,8 @@ from getagrip.timelines.observations import TimelineInputs
 from getagrip.timelines.timeline_confidence import TimelineAnswer, judge_timeline
 from getagrip.timelines.transitions import TimelineMotion
 
+MAX_MASK_PIXELS_IN_MEMORY = 2**28
+"""Maximum pixels of all frames of a clip whose masks are read at once, a bit each; else frame by frame, some twice."""
 CONVERGENCE_CHECK_STAGE = 256, 8
 """Resolution [px] and iterations of the usual search's last stage: as many again are made where it was cut off."""
 
@@ -114,6 +116,8 @@ def reconstruct(
         if masks is not None:
             check_masks(clip, masks)
             clip = with_masks(clip, masks.in_bits)
+        elif options.every_frame and len(clip) * clip.size[0] * clip.size[1] <= MAX_MASK_PIXELS_IN_MEMORY:
+            clip = with_masks(clip, read_masks(clip))  # each file once: for its object, its fit and its frame
         clip = with_hand_size(clip, options)
         compile_once(lambda: on_stage and on_stage(COMPILATION_MESSAGE, 0.0))
         kind: type[Pipeline] = Timeline if clip.segments else StableGrasp

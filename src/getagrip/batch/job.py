@@ -136,7 +136,7 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
         existing, why = existing_outcome(job, checksum)
         if existing is not None:
             return existing
-        result, checksum = _reconstruct_unchanged_clip(job, progress)
+        result = _reconstruct_unchanged_clip(job, checksum, progress)
         meanwhile, _ = existing_outcome(job, checksum)
         if meanwhile is not None and not job.overwrite:
             return meanwhile
@@ -159,16 +159,15 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
     return _result_outcome(job, "done", f"{again}{summary}; {result.message}", result, checksum)
 
 
-def _reconstruct_unchanged_clip(job: Job, progress: Progress | None) -> tuple[Reconstruction, str]:
-    """Return the result and the clip's checksum. Raises ``InputError`` where the clip changed while it was read."""
+def _reconstruct_unchanged_clip(job: Job, checksum: str, progress: Progress | None) -> Reconstruction:
+    """Return the result of the clip. Raises ``InputError`` where it no longer has the checksum after it was read."""
     from getagrip.reconstruct import reconstruct
 
-    before = input_sha256(job.clip)
     with plugins.convert_base_exceptions():
         result = reconstruct(read_clip(job.clip), None, job.options, progress, job.threads)
-    if input_sha256(job.clip) != before:
+    if input_sha256(job.clip) != checksum:
         raise InputError(job.clip, "", "files that changed while they were read", "a clip that stays as it is")
-    return result, before
+    return result
 
 
 def existing_outcome(job: Job, checksum: str) -> tuple[Outcome | None, str]:

@@ -198,7 +198,9 @@ def inside(folder: Path, relative: str, key: str, what: str, source: Path | None
         raise InputError(named, key, f"the path {shorten_value(relative)}", f"{what} inside the folder")
     path = folder / relative
     try:
-        leaves = not os.path.realpath(path).startswith(os.path.join(os.path.realpath(folder), ""))
+        leaves = _may_leave(folder, parts) and not os.path.realpath(path).startswith(
+            os.path.join(os.path.realpath(folder), "")
+        )
         there = path.is_file()
     except OSError as error:  # names that are too long, no permission
         raise InputError(named, key, f"the path {shorten_value(relative)} ({error.strerror})", what) from error
@@ -208,6 +210,11 @@ def inside(folder: Path, relative: str, key: str, what: str, source: Path | None
     if not there:
         raise InputError(path, "" if source is None else key, "no such file", what)
     return path
+
+
+def _may_leave(folder: Path, parts: PurePosixPath) -> bool:
+    """Return whether a part of a path is a link, or might be one on Windows: only then are its links followed."""
+    return os.name == "nt" or any(os.path.islink(f"{folder}/{part}") for part in (parts, *parts.parents[:-1]))
 
 
 def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
