@@ -21,6 +21,7 @@ from numpy import ndarray
 from getagrip.checks.evidence import Evidence
 from getagrip.clip.clip import frame_indices
 from getagrip.geometry import se3
+from getagrip.geometry.mesh import squared_distances
 from getagrip.geometry.rasterize import render_packed
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import find_symmetries, surface_points
@@ -94,15 +95,15 @@ class SolvedEvidence(Evidence):
 
         Mean distance to the nearest point, so that it is 0 for symmetric poses.
         """
-        from scipy.spatial import cKDTree
-
         few = frame_indices(len(self.clip), N_COMPARED_FRAMES)
         points = surface_points(self.clip.mesh, N_COMPARED_POINTS)
         T, scale = self.candidates.T_hand_obj[:, few], self.candidates.scale[:, None, None, None]
         surfaces = se3.transform(T, scale * points)
-        trees = [cKDTree(surface) for surface in surfaces[0]]
-        off = [[tree.query(x)[0].mean() for tree, x in zip(trees, surface, strict=True)] for surface in surfaces]
-        nearest = [tree.query(x, k=2)[0][:, 1].mean() for tree, x in zip(trees, surfaces[0], strict=True)]
+        off = [
+            [np.sqrt(squared_distances(x, y).min(axis=1)).mean() for x, y in zip(surface, surfaces[0], strict=True)]
+            for surface in surfaces
+        ]
+        nearest = [np.sqrt(np.partition(squared_distances(y, y), 1, axis=1)[:, 1]).mean() for y in surfaces[0]]
         return np.maximum(np.mean(off, axis=1) - 0.5 * np.mean(nearest), 0.0) / self.diameter
 
     def vertices_apart(self, k: int) -> float:

@@ -189,25 +189,25 @@ def diameter(points: Float[ndarray, "V 3"]) -> float:
         u = corners.sum(axis=0) / np.linalg.norm(corners.sum(axis=0))
         cosine = np.min(corners @ u / np.linalg.norm(corners, axis=1))
         down, up = low @ u, high @ u
-        best = max(best, _greatest_distance(low[[down.argmin()]], high[[up.argmax()]]))
+        best = max(best, float(np.linalg.norm(low[down.argmin()] - high[up.argmax()])))
         least = best * cosine - rounding
         low, high = low[down <= up.max() - least], high[up >= down.min() + least]
         if len(low) * len(high) <= DISTANCE_CHUNK_SIZE or best * (1.0 - cosine) <= rounding:
             for some in np.array_split(low, 1 + len(low) * len(high) // DISTANCE_CHUNK_SIZE):
-                best = max(best, _greatest_distance(some, high))
+                best = max(best, float(np.sqrt(squared_distances(some, high).max(initial=0.0))))
         else:
             quarters = [*(0.5 * (corners + corner) for corner in corners), 0.5 * (corners.sum(axis=0) - corners)]
             triangles += [(quarter, low, high) for quarter in quarters]
     return float(best)
 
 
-def _greatest_distance(a: Float[ndarray, "n 3"], b: Float[ndarray, "m 3"]) -> float:
-    """Compute the greatest distance between points of two sets [m]; 0 if one is empty.
+def squared_distances(a: Float[ndarray, "n 3"], b: Float[ndarray, "m 3"]) -> Float[ndarray, "n m"]:
+    """Compute the squared distances between all points of two sets [m^2].
 
-    scipy's function would do, but loading it takes longer than reading a clip.
+    scipy.spatial would do, but loading it takes longer than reading a clip.
     """
     x, y, z = (np.subtract.outer(a[:, i], b[:, i]) for i in range(3))
-    return float(np.sqrt((x * x + y * y + z * z).max(initial=0.0)))
+    return np.asarray(x * x + y * y + z * z)
 
 
 def merge_vertices(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:

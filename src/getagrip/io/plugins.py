@@ -21,7 +21,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, TypeVar
 from urllib.parse import urlsplit
-from urllib.request import url2pathname
 
 from getagrip.errors import UsageError
 from getagrip.io import processes, terminal
@@ -328,6 +327,8 @@ def _install_source() -> tuple[str, str] | None:
         return None
     if not isinstance(record, dict) or not str(record.get("url", "")).startswith("file:"):
         return None
+    from urllib.request import url2pathname  # loads ssl
+
     path = Path(url2pathname(urlsplit(record["url"]).path))
     if not path.exists():
         return None

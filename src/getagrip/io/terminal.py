@@ -19,7 +19,7 @@ from contextvars import ContextVar
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TextIO, TypeAlias
+from typing import TYPE_CHECKING, Literal, TextIO, TypeAlias, cast
 
 from getagrip.errors import UsageError, escape_unprintable
 
@@ -159,9 +159,32 @@ def _in_notebook() -> bool:
     return Console().is_jupyter
 
 
+class _HiddenProgress:
+    """A bar that is not shown. The one that is takes a tenth of a second to load."""
+
+    disable = True
+
+    def add_task(self, *_: object, **__: object) -> int:
+        return 0
+
+    def update(self, *_: object, **__: object) -> None:
+        """Show nothing."""
+
+    advance = remove_task = update
+
+
+def _may_show_bar() -> bool:
+    """Return whether stderr may be a terminal or a notebook, or one is asked for, as rich has it."""
+    asked = not {"FORCE_COLOR", "TTY_COMPATIBLE"}.isdisjoint(os.environ)
+    return asked or sys.stderr.isatty() or "IPython" in sys.modules
+
+
 @contextmanager
 def progress_bar(counted: bool = False) -> Iterator[Progress]:
     """Show a bar on stderr if it is a terminal; ``counted`` adds the counts and the time left."""
+    if not _may_show_bar():
+        yield cast("Progress", _HiddenProgress())
+        return
     from rich.console import Console
     from rich.progress import (
         BarColumn,

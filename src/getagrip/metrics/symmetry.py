@@ -103,18 +103,19 @@ class _SymmetrySurface:
 
     def __init__(self, mesh: Mesh) -> None:
         import igl
-        from scipy.spatial import cKDTree
 
         self.mesh, self.points = mesh, surface_points(mesh, N_SYMMETRY_POINTS)
         self.tree = igl.AABB()
         self.tree.init(mesh.vertices, mesh.faces)
-        self.dense = cKDTree(surface_points(mesh, 5000))
         self._refined: dict[bytes, ndarray | None] = {}
 
     def promising(self, rotations: Float[ndarray, "n 4 4"]) -> Float[ndarray, "m 4 4"]:
         """Return the rotations that pass a coarse test, of all at once."""
-        distance = self.dense.query(se3.transform(rotations, self.points[::5]))[0]
-        return rotations[distance.mean(axis=1) < 3.0 * MAX_MEAN_SYMMETRY_DISTANCE * self.mesh.diameter]
+        for step, times in ((25, 6.0), (5, 3.0)):
+            points = se3.transform(rotations, self.points[::step])
+            distance = self.nearest(points.reshape(-1, 3))[0].reshape(points.shape[:2])
+            rotations = rotations[distance.mean(axis=1) < times * MAX_MEAN_SYMMETRY_DISTANCE * self.mesh.diameter]
+        return rotations
 
     def nearest(self, X: Float[ndarray, "P 3"]) -> tuple[ndarray, ndarray, ndarray]:
         """Return distances [m], nearest points, and normals at these."""
