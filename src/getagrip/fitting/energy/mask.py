@@ -58,6 +58,7 @@ _Y, _X = np.mgrid[-MAX_GAP_PX : MAX_GAP_PX + 1, -MAX_GAP_PX : MAX_GAP_PX + 1].re
 _OFFSET_ORDER = np.argsort(_X * _X + _Y * _Y, kind="stable")
 _OFFSETS = np.stack([_X, _Y], axis=1)[_OFFSET_ORDER][1:]
 """Steps (x, y) to other pixels, nearest first."""
+_OFFSET_LENGTHS = np.hypot(*_OFFSETS.T)
 
 
 def find_gap_pixels(
@@ -82,14 +83,14 @@ def find_gap_pixels(
         found[n] = near & near_hidden & ~(s | h)
         if found[n].any():
             found[n] &= cv2.dilate((s | h).view(np.uint8), within).view(bool)
-        _keep_gaps(s, h, _OFFSETS, found[n])
+        _keep_gaps(s, h, _OFFSETS, _OFFSET_LENGTHS, found[n])
         touching += int(np.count_nonzero(cv2.dilate(h.view(np.uint8), around[:3, :3]).view(bool) & s))
     area = int(np.count_nonzero(found))
     return found if area > share * (area + touching) else np.zeros_like(found)
 
 
-@kernel("b2 b2 i2 b2")
-def _keep_gaps(observed, hidden, offsets, found):
+@kernel("b2 b2 i2 f1 b2")
+def _keep_gaps(observed, hidden, offsets, lengths, found):
     """Keep those of the pixels in ``found`` that are in gaps."""
     size = len(found)
     for i in range(size):
@@ -100,7 +101,7 @@ def _keep_gaps(observed, hidden, offsets, found):
             to_object = to_hidden = 0.0
             for k in range(len(offsets)):
                 x, y = offsets[k, 0], offsets[k, 1]
-                distance = np.sqrt(x * x + y * y)
+                distance = lengths[k]
                 # One that is yet to be found is no nearer than this: then the gap is too wide.
                 if distance + (max(to_object, to_hidden) or distance) > MAX_GAP_PX + 1.0:
                     break
