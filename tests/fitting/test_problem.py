@@ -16,7 +16,9 @@ from getagrip.errors import InputError
 from getagrip.fitting.evidence import silhouettes
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem, prepare_problem
+from getagrip.io.images import PackedMask, read_mask
 from getagrip.provenance import assumed
+from getagrip.reconstruct import reconstruct
 from helpers.clips import small_clip
 
 FRAMES = 9
@@ -110,3 +112,15 @@ def test_with_a_free_scale_there_are_twice_as_many_initial_poses(scale: Any, met
     assert prepare_problem(with_masks(replace(clip, scale=scale), masks), options).options == replace(
         options, inits=times * 7
     )
+
+
+def test_each_mask_of_a_short_clip_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clip, read = written(tmp_path / "clip", [], []), list[Path]()
+
+    def counted(path: Path, size: tuple[int, int]) -> PackedMask:
+        read.append(path)
+        return read_mask(path, size)
+
+    monkeypatch.setattr("getagrip.clip.masks.read_mask", counted)
+    reconstruct(clip, options=Options(frames=4, inits=5))
+    assert sorted(read) == sorted((clip.origin / "masks").glob("*/*.png"))
