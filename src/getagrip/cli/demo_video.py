@@ -55,7 +55,11 @@ def run_demo_video(category: str, seed: int, out: Path, models: Path | None, fra
     errors = measure_draft(scene, read_clip(clip_folder), read_result(result_folder)[0])
     screen.print(
         "\n".join(
-            ["", "beside the truth, medians over frames:", *(f"  {what}: {error}" for what, error in errors.items())]
+            [
+                "",
+                "beside the truth, up to the object's symmetries:",
+                *(f"  {what}: {error}" for what, error in errors.items()),
+            ]
         )
     )
     screen.print(f"report   {result_folder / 'report.html'}")
@@ -76,42 +80,29 @@ def _draft_of(video: RenderedVideo, out: Path, models: Path | None) -> Draft:
 
 
 def measure_draft(scene: Scene, clip: Clip, result: Reconstruction) -> dict[str, str]:
-    """Measure a draft's hands, masks and object against the scene that its video shows, medians over frames, in words.
+    """Measure a draft's hands, masks and object against the scene that its video shows, by ``measure``, in words.
 
     Frames of the clip are named by their number in the video, from 1.
     """
-    import numpy as np
-
+    from getagrip.bench.pixels.pixel_errors import PixelTruth, measure
     from getagrip.clip import read_masks
     from getagrip.geometry import se3
     from getagrip.synthetic.scene import ground_truth_masks
     from getagrip.synthetic.video import VIDEO_SIZE_PX, at_video_size
 
-    truth, shown = scene.clip.truth, at_video_size(scene, VIDEO_SIZE_PX)
+    truth, joints = scene.clip.truth, scene.clip.hand.joints
     assert truth is not None
-    assert scene.clip.hand.joints is not None
-    rows = np.array([int(name) - 1 for name in clip.frames])
-    found, true = read_masks(clip), ground_truth_masks(shown)
-    overlap = [
-        (found.object[n] & true.object[row]).sum() / max((found.object[n] | true.object[row]).sum(), 1)
-        for n, row in enumerate(rows)
-    ]
+    assert joints is not None
+    names = tuple(f"{n + 1:06d}" for n in range(len(scene.clip)))
+    masks = ground_truth_masks(at_video_size(scene, VIDEO_SIZE_PX)).object
+    true = PixelTruth(names, scene.object, truth.T_cam_obj, se3.transform(truth.T_cam_hand, joints), masks)
+    found = measure(true, clip, result, read_masks(clip))
     errors = {"hand found in": f"{len(clip)} of {len(scene.clip)} frames"}
-    if clip.hand.joints is not None:
-        joints = se3.transform(clip.hand.T_cam_hand, clip.hand.joints)
-        true_joints = se3.transform(truth.T_cam_hand[rows], scene.clip.hand.joints[rows])
-        off = np.linalg.norm(joints - true_joints, axis=-1).mean(axis=-1)
-        errors[JOINTS_CAPTION] = f"{1e3 * np.median(off):.0f} mm"
-    errors["masks, IOU"] = f"{np.median(overlap):.2f}"
-    at = np.array([int(name) - 1 for name in result.frames])
-    points = se3.transform(result.T_cam_obj, result.scale * scene.object.vertices)
-    true_points = se3.transform(truth.T_cam_obj[at], scene.object.vertices)
-    off = np.linalg.norm(points - true_points, axis=-1).mean(axis=-1)
-    middle = true_points.mean(axis=1)
-    shift = np.sum((points.mean(axis=1) - middle) * middle, axis=-1) / np.linalg.norm(middle, axis=-1)
-    turned = np.degrees(se3.angle_between(result.T_cam_obj[:, :3, :3], truth.T_cam_obj[at, :3, :3]))
-    share = 100.0 * np.median(off) / scene.object.diameter
-    errors["object, distance of its vertices"] = f"{1e3 * np.median(off):.1f} mm, {share:.1f} % of its diameter"
-    errors["object, along the ray"] = f"{round(1e3 * float(np.median(shift)), 1) + 0.0:+.1f} mm"
-    errors["object, rotation"] = f"{np.median(turned):.1f} degrees"
+    if found.hand_found is not None:
+        errors[JOINTS_CAPTION] = f"{found.hand_found.joints_mm:.0f} mm"
+    errors["masks, IOU"] = f"{found.mask_iou:.2f}"
+    thing = found.object
+    errors["object, distance of its vertices"] = f"{thing.add_mm:.1f} mm, {thing.add_percent:.1f} % of its diameter"
+    errors["object, along the ray"] = f"{round(thing.along_mm, 1) + 0.0:+.1f} mm"
+    errors["object, rotation"] = f"{thing.rotation_deg:.1f} degrees"
     return errors

@@ -67,6 +67,18 @@ def test_a_slit_in_the_objects_colours_beside_the_hand_is_unknown_and_far_ones_a
     assert not found[(image == GROUND).all(axis=-1)].any()
 
 
+def test_background_along_a_finger_is_unknown_in_any_colour_since_the_finger_may_hide_the_object() -> None:
+    image, labels = scene()
+    finger = finger_pixels(JOINTS, labels.shape, 0.05) & (labels == HAND_LABEL)
+    image[finger], labels[finger] = GROUND, 0
+    first, drawn = key()
+    found = UncertainPixels.of_keys({0: drawn}, lambda _: first, lambda _: None, {1: JOINTS})
+    hidden = found.behind_fingers(1, labels)
+    assert hidden[finger].all()
+    assert not hidden[~finger_pixels(JOINTS, labels.shape) | (labels != 0)].any()
+    assert not found.behind_fingers(2, labels).any()
+
+
 def test_what_is_drawn_as_the_object_stays() -> None:
     image, labels = scene()
     found = UncertainPixels.of_keys({1: labels}, lambda _: image, lambda _: None, {1: JOINTS}).find(1, labels, image)

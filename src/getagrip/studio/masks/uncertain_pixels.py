@@ -2,7 +2,8 @@
 
 A hand's mask lacks fingers in shadow, and a propagated mask takes them for the object, or leaves out slits between
 fingers through which the object shows. Landmarks tell where fingers may be, colours of the key frames what a pixel may
-show; a pixel whose label contradicts them is unknown.
+show; a pixel whose label contradicts them is unknown. So is background along a finger that may hide the object: fingers
+often have the background's colours.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL
 
 FINGER_RADIUS = 0.12
 """Distance from a bone within which a finger may be, in sizes of the hand: twice a finger's."""
+HIDING_FINGER_RADIUS = 0.08
+"""Distance from a bone within which a finger hides the background, in sizes of the hand: a finger's, and the landmarks'
+errors."""
 SLIT_DISTANCE = 0.1
 """Distance from the hand within which the object may show between fingers, in sizes of the hand."""
 MIN_COLOUR_RATIO = 4.0
@@ -35,12 +39,17 @@ LabelMap = UInt8[ndarray, "H W"]
 """A label map."""
 
 
-def finger_pixels(joints: Float[ndarray, "21 2"], shape: tuple[int, ...]) -> Bool[ndarray, "H W"]:
-    """Return the pixels of an image of a shape (height, width) at which landmarks [px] say that a finger may be."""
+def finger_pixels(
+    joints: Float[ndarray, "21 2"], shape: tuple[int, ...], radius: float = FINGER_RADIUS
+) -> Bool[ndarray, "H W"]:
+    """Return the pixels of an image of a shape (height, width) at which landmarks [px] say that a finger may be.
+
+    ``radius`` is the distance from a bone, in sizes of the hand.
+    """
     import cv2
 
     out = np.zeros(shape[:2], np.uint8)
-    width = max(1, round(2.0 * FINGER_RADIUS * hand_size_px(joints)))
+    width = max(1, round(2.0 * radius * hand_size_px(joints)))
     ends = np.clip(np.round(joints - 0.5), -4096, 4096).astype(np.int32)
     for a, b in LANDMARK_BONES:
         if np.isfinite(joints[[a, b]]).all():
@@ -100,3 +109,12 @@ class UncertainPixels:
         square = np.ones((3, 3), np.uint8)
         opened = [cv2.morphologyEx(each.astype(np.uint8), cv2.MORPH_OPEN, square) > 0 for each in (fingers, slits)]
         return np.asarray(np.logical_or(*opened))
+
+    def behind_fingers(self, n: int, labels: LabelMap) -> Bool[ndarray, "H W"]:
+        """Return the background of a frame's label map, of any colour, that a finger hides if its landmarks are right.
+
+        None in frames without landmarks.
+        """
+        if n not in self.joints:
+            return np.zeros(labels.shape, bool)
+        return (labels == 0) & finger_pixels(self.joints[n], labels.shape, HIDING_FINGER_RADIUS)

@@ -139,11 +139,12 @@ def write_labelled_clip_files(
             if hands is None:
                 whole = _occlude_hand_border(mask)
                 whole[uncertain.find(n, whole, image(n))] = OCCLUDER_LABEL
+                maps.add(n, whole)  # landmarks do not vouch for themselves when the hand is lifted again
+                whole[uncertain.behind_fingers(n, whole)] = OCCLUDER_LABEL
             else:
                 whole = _occlude_hand(mask, hands, n - labels.first, K)
             if sure > 0.0:
                 write_image(new / "masks" / f"{name(n)}.png", whole)
-            maps.add(n, whole)
             confidence[n] = sure
             done(len(confidence))
         if hands is not None:
