@@ -139,6 +139,12 @@ ESTIMATED_FEATURES = (*(feature for feature in FEATURES if feature.name in _ESTI
 """Features of results with estimated hands (``checks.calibration``): few, since more were worse for other objects."""
 
 
+LIFTED_FEATURES = (
+    *ESTIMATED_FEATURES,
+    Feature("distance-spread", lambda it: _log_offset(it.distance_spread, 0.01), -1),  # by sizes and depth [diameters]
+    Feature("shape-assumed", lambda it: float(it.shape_assumed), -1),
+)
+"""Features of results with hands that were lifted from 2D joints, whose size is assumed."""
 _CORRECTED = ("hand-spread", "hand-misfit", "penetration")
 CORRECTED_FEATURES = (*FEATURES, *(feature for feature in HAND_FEATURES if feature.name in _CORRECTED))
 """Features of results with corrected measured hands."""
@@ -151,5 +157,5 @@ def was_corrected(signs: Mapping[str, float]) -> bool:
 
 def compute_features(it: SolvedEvidence) -> dict[str, float]:
     """Compute all known features of a result, by name."""
-    measured = {feature.name: float(feature.measure(it)) for feature in (*FEATURES, *HAND_FEATURES)}
+    measured = {feature.name: float(feature.measure(it)) for feature in {*FEATURES, *LIFTED_FEATURES}}
     return {name: value for name, value in measured.items() if not np.isnan(value)}

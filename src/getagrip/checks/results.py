@@ -63,6 +63,8 @@ class SolvedEvidence(Evidence):
         spread: standard deviation of the pose that the energy leaves [diameters]; NaN if unknown.
         hand_spread: standard deviation of an object in the hand that the evidence on the hand leaves [m].
         joint_error: error of the hand's 2D joints, estimated from the clip [fractions of its box]; NaN without joints.
+        distance_spread: standard deviation of the object's distance from the camera by sizes and depth [diameters]; NaN
+            if unknown.
     """
 
     candidates: Candidates
@@ -71,6 +73,7 @@ class SolvedEvidence(Evidence):
     spread: float
     hand_spread: float
     joint_error: float = np.nan
+    distance_spread: float = np.nan
 
     @property
     def poses(self) -> Float[ndarray, "T 4 4"]:

@@ -7,8 +7,8 @@ A stage's error says which stage is to blame: of masks, of the hand as it was fo
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -41,6 +41,7 @@ class PixelTruth(ArrayData):
         joints: (T, 21, 3) true joints of the hand in the camera frame [m], wrist first, then thumb to little finger;
             NaN where unknown. None if no joint is known.
         masks: (T, H, W) true visible pixels of the object; None if unknown.
+        T_cam_hand: (T, 4, 4) true pose of the hand, hand frame to camera frame [m]; None if unknown.
     """
 
     frames: tuple[str, ...]
@@ -48,6 +49,7 @@ class PixelTruth(ArrayData):
     T_cam_obj: Float[ndarray, "T 4 4"]
     joints: Float[ndarray, "T 21 3"] | None = None
     masks: Bool[ndarray, "T H W"] | None = None
+    T_cam_hand: Float[ndarray, "T 4 4"] | None = None
 
     def rows(self, frames: Sequence[str]) -> Int[ndarray, "n"]:
         """Return the rows of some frames. Raises ``UsageError`` for a frame without truth."""
@@ -108,6 +110,8 @@ class Said:
         serious: names of the checks with serious findings.
         notes: names of the checks with other findings.
         refused: whether the result is failed, or has a serious finding.
+        distance_interval_mm: interval that contains the object's distance with 90 %; None if it states none.
+        signs: measures from which the probabilities are computed, by name.
     """
 
     in_hand: float | None
@@ -117,6 +121,8 @@ class Said:
     serious: tuple[str, ...]
     notes: tuple[str, ...]
     refused: bool
+    distance_interval_mm: tuple[float, float] | None = None
+    signs: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -131,6 +137,9 @@ class PixelErrors:
             of object or hand are to blame for a wrong pose. None without masks.
         object: of the result.
         candidates: of each kept candidate, the result first.
+        distance_mm: median over frames of the true distance from the camera to the object's centre [mm].
+        right_in_hand: of each kept candidate, whether its mean ADD in the hand is below 10 % of the diameter; None
+            where the true hand is unknown.
         hand_found: of the hand that the fit started from; None without known joints.
         hand_solved: of the hand of the result.
         said: words of the result.
@@ -145,6 +154,8 @@ class PixelErrors:
     hand_solved: HandErrors | None
     said: Said
     true_pose_iou: float | None = None
+    distance_mm: float = 0.0
+    right_in_hand: tuple[bool, ...] | None = None
 
     @property
     def right_among_candidates(self) -> bool:
@@ -185,7 +196,16 @@ def measure(truth: PixelTruth, clip: Clip, result: Reconstruction, masks: Masks 
     if masks is not None:
         of_clip = truth.T_cam_obj[truth.rows(clip.frames)]
         of_truth = float(np.nanmean(iou_of_poses(truth.mesh, 1.0, of_clip, clip.K, masks).full))
-    return PixelErrors(len(rows), result.mean_iou, overlap, own, tuple(each), found, solved, said_by(result), of_truth)
+    in_hand = None
+    if truth.T_cam_hand is not None:
+        T_hand_obj = se3.inverse(truth.T_cam_hand[rows]) @ true
+        tracks = zip(result.candidates.T_hand_obj, size * result.candidates.scale, strict=True)
+        in_hand = tuple(object_errors(truth.mesh, ObjectTrack(*one), T_hand_obj, symmetries).right for one in tracks)
+    distance = float(np.median(np.linalg.norm(se3.transform(true, truth.mesh.centre[None])[:, 0], axis=1)))
+    return PixelErrors(
+        len(rows), result.mean_iou, overlap, own, tuple(each), found, solved, said_by(result), of_truth,
+        1e3 * distance, in_hand,
+    )  # fmt: skip
 
 
 def object_errors(
@@ -249,6 +269,8 @@ def said_by(result: Reconstruction) -> Said:
         serious,
         notes,
         refused=result.status.failed or bool(serious),
+        distance_interval_mm=result.distance_interval_mm,
+        signs=result.signs,
     )
 
 

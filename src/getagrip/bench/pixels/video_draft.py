@@ -99,6 +99,8 @@ ORACLES: dict[str, Oracle] = {
     "hand-size": Oracle(hand_size=True),
     "depth": Oracle(depth=True),
     "mesh": Oracle(mesh=True),
+    "mesh+depth": Oracle(mesh=True, depth=True),
+    "masks+mesh": Oracle(masks=True, mesh=True),
     "masks+hands": Oracle(masks=True, hands=True, interval=True),
     "masks+hands+mesh": Oracle(masks=True, hands=True, interval=True, mesh=True),
 }
@@ -130,7 +132,9 @@ class VideoDraft:
         assert scene.clip.hand.joints is not None
         self.true_joints = se3.transform(truth.T_cam_hand, scene.clip.hand.joints)
         mesh = Mesh(truth.scale * scene.clip.mesh.vertices, scene.clip.mesh.faces)
-        self.truth = PixelTruth(tuple(self.names), mesh, truth.T_cam_obj, self.true_joints, self.true_masks.object)
+        self.truth = PixelTruth(
+            tuple(self.names), mesh, truth.T_cam_obj, self.true_joints, self.true_masks.object, truth.T_cam_hand
+        )
 
     def solve(self, oracle: Oracle, options: Options) -> Json:
         """Reconstruct the draft with an oracle, and return its errors, or a failure in words."""

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from getagrip.synthetic.filmed import FilmedClip
 
 ORACLE_NAMES = (
-    "masks", "first-mask", "interval", "hands", "hand-size", "depth", "mesh", "masks+hands", "masks+hands+mesh",
+    "masks", "first-mask", "interval", "hands", "hand-size", "depth", "mesh", "mesh+depth", "masks+mesh",
+    "masks+hands", "masks+hands+mesh",
 )  # fmt: skip
 """Names of ``bench.pixels.video_draft.ORACLES``, which load the solver."""
 

@@ -41,8 +41,10 @@ from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solver.category_prior import opening_angle
 from getagrip.fitting.solver.solve import hessian, minimise
+from getagrip.fitting.stages.distance import distance_spread
 from getagrip.fitting.stages.mesh_deformation import relative_contour_error
 from getagrip.fitting.stages.remaining_frames import SolutionTrack
+from getagrip.geometry import se3
 from getagrip.least_squares import BlockArrow
 from getagrip.provenance import is_assumed, kind_of_hands
 from getagrip.result import Candidates
@@ -93,6 +95,7 @@ def solved_of(
         misfit=relative_contour_error(problem.observation, found.terms["mask"] / len(problem.clip)),
         spread=pose_spread(problem, found), hand_spread=_hand_spread(input_clip, problem, found),
         scale_check=scale_check(problem, found), joint_error=joints.size if joints else float("nan"),
+        distance_spread=_distance_spread(input_clip, problem, found),
         turned_away=opening_angle(problem.clip, sampled.T_hand_obj[0]),
     )  # fmt: skip
 
@@ -102,6 +105,14 @@ def _hand_spread(clip: Clip, problem: Problem, found: MethodResult) -> float:
     if found.hand is None:
         return 0.0 if kind_of_hands(clip.provenance) == "measured" else ESTIMATED_HAND_SPREAD_M
     return found.hand.spread(_object_points_in_hand(problem, found) - _hand_centre(problem))
+
+
+def _distance_spread(clip: Clip, problem: Problem, found: MethodResult) -> float:
+    """Compute the standard deviation of the object's distance from the camera [diameters]."""
+    middle = len(problem.clip) // 2
+    centre = se3.transform(problem.clip.hand.T_cam_hand[middle], found.poses.centre[0, middle][None])[0]
+    distance = float(np.linalg.norm(centre))
+    return distance * distance_spread(clip, distance) / (float(found.poses.scale[0]) * problem.surface.diameter)
 
 
 def hand_alternatives(problem: Problem, found: MethodResult) -> Float[ndarray, "M 4 4"] | None:

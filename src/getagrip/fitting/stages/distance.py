@@ -44,10 +44,15 @@ def distance_interval(clip: Clip, result: Reconstruction) -> tuple[float, float]
     T = result.T_cam_hand @ result.T_hand_obj
     centre = result.scale * clip.warped(result.warp).mesh.centre
     distance = float(np.median(np.linalg.norm(se3.transform(T, centre[None])[:, 0], axis=1)))
-    errors = np.array([_hand_sigma(clip, distance), _object_sigma(clip), _sensor_sigma(clip)])
-    spread = float(np.sum(1.0 / (errors**2 + FIT_DISTANCE_SIGMA**2))) ** -0.5
+    spread = distance_spread(clip, distance)
     low, high = 1e3 * distance * np.exp(DISTANCE_INTERVAL_SIGMAS * spread * np.array([-1.0, 1.0]))
     return float(low), float(high)
+
+
+def distance_spread(clip: Clip, distance: float) -> float:
+    """Return the standard deviation of the logarithm of a distance from the camera [m], by sizes and by depth."""
+    errors = np.array([_hand_sigma(clip, distance), _object_sigma(clip), _sensor_sigma(clip)])
+    return float(np.sum(1.0 / (errors**2 + FIT_DISTANCE_SIGMA**2))) ** -0.5
 
 
 def _hand_sigma(clip: Clip, distance: float) -> float:
