@@ -31,6 +31,8 @@ from getagrip.checks.calibration import (
     CALIBRATIONS,
     CORRECTED_CALIBRATIONS,
     KEEP_THRESHOLDS,
+    LIFTED_KINDS,
+    POSE_FRAMES,
     Calibration,
     InputKind,
     KeepThresholds,
@@ -98,7 +100,7 @@ HEADER = (
 
 def lines(rows: Sequence[Row], fitted: Mapping[Where, Calibration], keeping: Kept) -> Iterator[list[str]]:
     """Test the calibrations on all parts; training results with estimated hands by fits without their own object."""
-    for where, part in product(get_args(Where), PARTS):
+    for where, part in product(POSE_FRAMES, PARTS):
         if where == "camera" and part in (REAL, REAL_APART):
             continue
         of = of_part(rows, "train" if part == REAL else part, where)
@@ -160,12 +162,14 @@ def _share(what: Bool[ndarray, "n"], among: Bool[ndarray, "n"], weights: Float[n
 def calibrated(rows: Sequence[Row], made: str) -> tuple[Mapping[Where, Calibration], Kept]:
     """Fit the probabilities and choose the thresholds by the training parts."""
     estimated, keeping = dict[Where, Calibration](), dict[tuple[InputKind, Where], KeepThresholds]()
-    for where in get_args(Where):
+    for where in POSE_FRAMES:
         train = of_part(rows, "train", where)
         every = train.estimated
         estimated[where] = every.fitted(made)["estimated"]
         fair, kinds = every.without_own_object(), np.array([row["kind"] for row in every.rows])
-        for kind in get_args(InputKind)[len(MEASURED) :]:
+        for kind in get_args(InputKind):
+            if kind in (*MEASURED, *LIFTED_KINDS):
+                continue
             keeping[kind, where] = every.only(kind=kind).keeping(fair[kinds == kind])
     return estimated, keeping
 
@@ -174,7 +178,7 @@ def by_evidence(rows: Sequence[Row]) -> Iterator[list[str]]:
     """Count right validation results in each frame, including results with serious findings."""
     of = [row for row in rows if row["part"] == "validation"]
     for condition in dict.fromkeys(row["condition"] for row in of):
-        some = [Results([row for row in of if row["condition"] == condition], where) for where in get_args(Where)]
+        some = [Results([row for row in of if row["condition"] == condition], where) for where in POSE_FRAMES]
         shares = (_share(one.right, np.ones_like(one.right), one.weights) for one in some)
         yield [condition, f"{len(some[0].rows)}", *shares]
 
@@ -191,7 +195,7 @@ def main(file: Path) -> None:
         "none with a serious finding; real: ARCTIC's hands as estimated; synthetic: in the fit only",
         "training results with estimated hands: by fits without their object; intervals: 95 %, clips drawn together",
     )
-    header = ("input", "results", *(f"right in the {where}, %" for where in get_args(Where)))
+    header = ("input", "results", *(f"right in the {where}, %" for where in POSE_FRAMES))
     settings = (
         "hands: exact, or at the level estimated, their masks not ragged; 2D joints: landmarks, wild, lab, one a draw; "
         "depth: mono, realsense",

@@ -17,7 +17,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -36,6 +36,7 @@ from getagrip.checks.calibration import (
     ESTIMATED_CALIBRATIONS,
     KEEP_SHARES,
     KEEP_THRESHOLDS,
+    POSE_FRAMES,
     Calibration,
     InputKind,
     KeepThresholds,
@@ -383,8 +384,8 @@ def report(rows: Sequence[Row]) -> None:
     """
     made, how = date_and_commit(), circumstances(COMMAND)  # before anything is written
     used = [row for row in rows if hands_of(row) != "estimated" and not row["serious"]]
-    fits = {where: Results(used, where).fitted(made) for where in get_args(Where)}
-    held = {where: judged(Results(used, where)) for where in get_args(Where)}
+    fits = {where: Results(used, where).fitted(made) for where in POSE_FRAMES}
+    held = {where: judged(Results(used, where)) for where in POSE_FRAMES}
     keeping: dict[tuple[InputKind, Where], KeepThresholds] = {
         (kind, where): least
         for where, one in held.items()

@@ -359,8 +359,8 @@ def test_a_batch_counts_apart_how_results_of_assumed_meshes_look(capsys: pytest.
         tally.add(Outcome(name, "done", "", probability_right=Probability(value, "", beyond)), KeepOptions())
     tally.print()
     assert capsys.readouterr().out.splitlines()[1:] == [
-        "1 of 2 with an assumed mesh: probably looks right: b",
-        "1 of 2 with an assumed mesh: probably looks wrong: c",
+        "1 of 2 by eye: probably looks right: b",
+        "1 of 2 by eye: probably looks wrong: c",
         "about 1 of 1 are right in the hand, by their probabilities",
     ]
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -14,6 +14,11 @@ from hypothesis import strategies as st
 
 from benchmarks.kept import HEADER, calibrated, lines, of_part
 from benchmarks.kept_rows import END, REAL, SYNTHETIC, Row, read
+from benchmarks.pixel_probability import HEADER as DRAFT_HEADER
+from benchmarks.pixel_probability import Results as DraftResults
+from benchmarks.pixel_probability import calibrated as calibrated_drafts
+from benchmarks.pixel_probability import lines as draft_lines
+from benchmarks.pixel_probability import read_rows
 from benchmarks.probability import Results, judged, stored, thresholds, write
 from benchmarks.reliability import auroc, auroc_interval, bins, calibration_error, fit_weights, least_error
 from benchmarks.signed_results import ALWAYS
@@ -26,15 +31,18 @@ from getagrip.checks.calibration import (
     ESTIMATED_CALIBRATIONS,
     KEEP_SHARES,
     KEEP_THRESHOLDS,
+    LIFTED_CALIBRATIONS,
+    LIFTED_KINDS,
+    POSE_FRAMES,
     KeepThresholds,
-    Where,
     candidate_set_thresholds,
     keep_threshold,
     kind_of_input,
     read_calibrations,
     sigmoid,
 )
-from getagrip.checks.features import FEATURES, HAND_FEATURES
+from getagrip.checks.features import FEATURES, HAND_FEATURES, LIFTED_FEATURES
+from getagrip.clip import Clip
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
 from getagrip.fitting.stages.confidence import (
@@ -42,9 +50,10 @@ from getagrip.fitting.stages.confidence import (
     probabilities,
     probability_right,
     uncalibrated_reason,
+    was_lifted,
 )
 from getagrip.provenance import Source, assumed, estimated, kind_of_hands, measured
-from getagrip.result.findings import Finding, Probability, format_probability
+from getagrip.result.findings import Finding, Probability, describe_looks, format_probability
 from getagrip.synthetic.scene import synthesise
 from getagrip.synthetic.scene_options import SceneOptions
 
@@ -129,7 +138,7 @@ def results(n: int = 60) -> list[Row]:
 
 
 def test_both_are_fitted_to_the_same_results_and_read_back(tmp_path: Path) -> None:
-    fitted = [Results(results(), where).fitted("today") for where in get_args(Where)]
+    fitted = [Results(results(), where).fitted("today") for where in POSE_FRAMES]
     write(path := Path(shutil.copy(CALIBRATION_FILE, tmp_path)), measured=stored(one["measured"] for one in fitted))
     back = read_calibrations(path)[0]
     assert [*back] == [("soft-hinge", "hand"), ("soft-hinge", "camera")]
@@ -320,6 +329,84 @@ def test_the_kind_of_an_input_is_that_of_its_hands_and_of_the_evidence_that_coun
         assert kind_of_input("estimated", {"depth"}, sign) == kind
 
 
+def test_lifted_hands_are_a_kind_of_their_own() -> None:
+    terms = {"total", "mask", "joints-2d"}
+    assert kind_of_input("estimated", terms, 0.0, lifted=True) == "lifted"
+    assert kind_of_input("estimated", terms, 2.0, lifted=True) == "lifted", "depth that did not count"
+    assert kind_of_input("estimated", terms | {"depth"}, 2.0, lifted=True) == "lifted-sensor"
+    assert kind_of_input("estimated", terms | {"depth"}, 2.0, lifted=True, shape_assumed=True) == "lifted-shape"
+    assert kind_of_input("measured", terms, 0.0, lifted=True) == "measured"
+
+
+def lifted_clip(mesh: Source) -> Clip:
+    """A clip whose hands were lifted from 2D joints."""
+    clip, _ = synthesise("box", 0, SceneOptions(frames=3))
+    seen = np.full((3, 21, 2), 50.0)
+    hand = replace(clip.hand, joints_2d=seen, joints_2d_confidence=np.ones((3, 21)))
+    known = {"hands": estimated("by a network"), "hands_scale": assumed("a mean hand's"), "mesh": mesh}
+    return replace(clip, hand=hand, provenance=known)
+
+
+def test_a_draft_is_told_how_probably_it_looks_right_also_with_an_assumed_mesh() -> None:
+    assert was_lifted(lifted_clip(measured("its own")))
+    assert not was_lifted(replace(lifted_clip(measured("its own")), provenance={"hands": estimated("by a network")}))
+    weights = LIFTED_CALIBRATIONS["soft-hinge", "image"].weights
+    best = {name: weight.high if weight.weight > 0.0 else weight.low for name, weight in weights.items()}
+    found = probabilities(lifted_clip(assumed("a box")), Options(), best, (), ())
+    for right in found.values():
+        assert right is not None
+        assert "assumed mesh" not in right.beyond
+    assert found["image"] is not None
+    assert "distance does not count" in found["image"].meaning
+    other = probabilities(replace(lifted_clip(assumed("a box")), provenance={}), Options(), best, (), ())
+    assert other["image"] is None, "calibrated for lifted hands only"
+
+
+def test_looks_follow_the_probability_that_it_looks_right() -> None:
+    extrapolated = Probability(0.5, "", ("assumed mesh",))
+    assert describe_looks(None, None) == describe_looks(Probability(0.5, ""), None) == ""
+    assert describe_looks(extrapolated, None) == "probably looks right"
+    assert describe_looks(extrapolated, Probability(0.3, "")) == "probably looks wrong (30 %)"
+    assert describe_looks(None, Probability(0.73, "")) == "probably looks right (73 %)"
+
+
+def draft_record(folder: Path, name: str, split: str, gap: float, right: bool, interval: tuple[float, float]) -> None:
+    """Write a record of ``bench video`` with three drafts of alike signs."""
+    one = {"right": right, "add_mm": 5.0, "add_percent": 5.0, "rotation_deg": 3.0 if right else 60.0, "across_mm": 1.0}
+    by = {}
+    for draft, level, shape in (("draft", 0.0, 1.0), ("mesh", 0.0, 0.0), ("mesh+depth", 2.0, 0.0)):
+        signs = {sign.name: 0.0 for sign in LIFTED_FEATURES}
+        signs |= {"energy-gap": gap, "depth-images": level, "shape-assumed": shape}
+        said = {"signs": signs, "serious": [], "distance_interval_mm": interval}
+        by[draft] = {"candidates": [one], "right_in_hand": [right], "said": said, "distance_mm": 500.0}
+    (folder / "results").mkdir(exist_ok=True)
+    (folder / "results" / f"{name}.json").write_text(json.dumps({"split": split, "by": by}))
+
+
+def test_drafts_of_videos_calibrate_their_own_kinds(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for n in range(150):
+        gap = float(rng.random())
+        right = bool(rng.random() < 1.0 / (1.0 + np.exp(-12.0 * (gap - 0.4))))
+        split, held = ("train", "train", "validation")[n % 3], (450.0, 550.0 if n % 10 else 460.0)
+        draft_record(tmp_path, f"kind{n % 7}-{n}", split, gap, right, held)
+    rows = read_rows(tmp_path)
+    assert len(rows) == 450
+    assert {row["kind"] for row in rows} == {*LIFTED_KINDS}
+    train, test = ([row for row in rows if row["part"] == part] for part in ("train", "validation"))
+    fit, least, p = calibrated_drafts(train, "image", "today")
+    assert fit.weights["energy-gap"].weight > 0.0
+    assert least["lifted"].least[0.9] > 0.5
+    assert len(p) == len(train)
+    results = DraftResults(test, "image")
+    table = [*draft_lines("validation", results, results.probability({"estimated": fit}), least)]
+    assert [line[0] for line in table] == [f"validation, {kind}" for kind in (*LIFTED_KINDS, "all")]
+    made = dict(zip(DRAFT_HEADER, table[-1][1:], strict=True))
+    assert float(made["AUROC"]) > 0.75
+    assert float(made["right of kept, %"]) >= 85.0
+    assert made["intervals that hold the distance, %"] == "90"
+
+
 def test_rows_that_were_cut_off_count_as_missing(tmp_path: Path) -> None:
     whole = "".join(f'\n{{"a": {{"n": {n}}}}}{END}' for n in range(3))
     file = tmp_path / "rows.jsonl"
@@ -352,7 +439,7 @@ def test_what_was_calibrated_is_written_and_held_against_validation(tmp_path: Pa
     estimated, keeping = calibrated(rows, "today")
     path = Path(shutil.copy(CALIBRATION_FILE, tmp_path))
     write(path, keeping, estimated=stored(estimated.values()))
-    exact, corrected, fitted, least = read_calibrations(path)
+    exact, corrected, fitted, _, least = read_calibrations(path)
     assert (exact, corrected) == (CALIBRATIONS, CORRECTED_CALIBRATIONS)
     assert least.keys() == KEEP_THRESHOLDS.keys()
     assert all(least["measured", where] == KEEP_THRESHOLDS["measured", where] for where in estimated), (

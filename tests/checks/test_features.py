@@ -14,7 +14,7 @@ from getagrip.checks import SolvedEvidence
 from getagrip.checks.calibration import CALIBRATIONS, ESTIMATED_CALIBRATIONS
 from getagrip.checks.features import (
     FEATURES,
-    HAND_FEATURES,
+    LIFTED_FEATURES,
     compute_features,
     contact_gap,
     depth_source_level,
@@ -57,6 +57,7 @@ def mug() -> SolvedEvidence:
         hand_spread=0.0,
         spread=0.05,
         deformed=0.0,
+        distance_spread=0.2,
     )
 
 
@@ -167,7 +168,7 @@ def test_a_rotation_about_the_axis_is_no_turn_besides_it() -> None:
 
 
 def test_every_sign_of_a_whole_result_is_known() -> None:
-    assert compute_features(mug()).keys() == DIRECTION.keys() | {sign.name for sign in HAND_FEATURES}
+    assert compute_features(mug()).keys() == {sign.name for sign in (*FEATURES, *LIFTED_FEATURES)}
 
 
 def test_signs_do_not_depend_on_where_the_camera_is() -> None:
@@ -188,6 +189,13 @@ def test_a_hand_that_was_corrected_far_is_a_sign() -> None:
     assert it.hand_shift == it.hand_turn == 0.0
     assert compute_features(off)["hand-turn"] > compute_features(it)["hand-turn"]
     assert compute_features(off)["hand-shift"] > compute_features(it)["hand-shift"]
+
+
+def test_an_uncertain_distance_is_a_sign() -> None:
+    it = mug()
+    near, far = (compute_features(replace(it, distance_spread=spread))["distance-spread"] for spread in (0.1, 0.3))
+    assert near < compute_features(it)["distance-spread"] < far
+    assert "distance-spread" not in compute_features(replace(it, distance_spread=np.nan))
 
 
 def test_estimated_hands_without_joints_are_no_extrapolation() -> None:

@@ -52,6 +52,7 @@ def small_result(frames: int = 3, candidates: int = 2, hinged: bool = True, seed
         signs={"contact-gap": -2.5},
         probability_right=Probability(0.75, "of being right", ("contact-gap",)),
         probability_right_in_camera=Probability(0.875, "of being right"),
+        probability_looks_right=Probability(0.625, "of looking right", keep=0.5),
     )
 
 
@@ -79,6 +80,7 @@ def test_what_is_written_is_read(tmp_path_factory: Any, frames: int, candidates:
         "signs",
         "probability_right",
         "probability_right_in_camera",
+        "probability_looks_right",
     ):
         assert getattr(back, name) == getattr(result, name)
     np.testing.assert_array_equal(back.T_hand_obj, result.T_hand_obj)
@@ -155,6 +157,7 @@ BROKEN: dict[str, tuple[dict[str, object], dict[str, object], str]] = {
     "seed a text": ({}, {"seed": "7"}, "result.json: seed"),
     "signs texts": ({}, {"signs": {"a": "b"}}, "result.json: signs."),
     "probability a number": ({}, {"probability_right": 0.5}, "result.json: probability_right"),
+    "looks a text": ({}, {"probability_looks_right": "1"}, "result.json: probability_looks_right"),
     "in camera a text": ({}, {"probability_right_in_camera": "1"}, "result.json: probability_right_in_camera"),
     "probability of 2": (
         {},

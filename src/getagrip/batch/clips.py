@@ -34,6 +34,7 @@ from getagrip.errors import GetagripError, InputError, UsageError, escape_unprin
 from getagrip.io import files
 from getagrip.io.storage import ARCHIVE_SUFFIX, Place, RemotePath, parse_place
 from getagrip.io.terminal import print_note, print_result
+from getagrip.result.findings import describe_looks
 
 if TYPE_CHECKING:
     from getagrip.batch.scheduling import BatchOptions, KeepOptions
@@ -258,7 +259,9 @@ class _Tally:
         self.right_in_camera: dict[str, float] = {}
         """Probability that the result is right, by clip."""
         self.looks: dict[str, str] = {}
-        """Probable appearance of results with an assumed mesh, by clip."""
+        """Probable appearance of drafts and of results with an assumed mesh, by clip."""
+        self.extrapolated: set[str] = set()
+        """Names of results of an assumed mesh whose probability is not calibrated for it."""
         self.verdicts: dict[str, str] = {}
         """Verdict of ``--keep``, by clip: kept or dropped."""
 
@@ -269,8 +272,10 @@ class _Tally:
         self.flagged += [outcome.name] * any(finding.serious for finding in outcome.findings)
         if outcome.probability_right is not None:
             self.right[outcome.name] = outcome.probability_right.value
-            if by_eye := outcome.probability_right.by_eye:
-                self.looks[outcome.name] = by_eye
+            if outcome.probability_right.by_eye:
+                self.extrapolated.add(outcome.name)
+            if looks := describe_looks(outcome.probability_right, outcome.probability_looks_right):
+                self.looks[outcome.name] = looks.partition(" (")[0]
         if outcome.probability_right_in_camera is not None:
             self.right_in_camera[outcome.name] = outcome.probability_right_in_camera.value
 
@@ -286,9 +291,9 @@ class _Tally:
             print(f"{len(self.flagged)} with serious findings: {', '.join(sorted(self.flagged))}")
         for by_eye, count in sorted(Counter(self.looks.values()).items()):
             named = ", ".join(name for name in self.looks if self.looks[name] == by_eye)
-            print(f"{count} of {len(self.looks)} with an assumed mesh: {by_eye}: {named}")
+            print(f"{count} of {len(self.looks)} by eye: {by_eye}: {named}")
         for where, right in (("hand", self.right), ("camera", self.right_in_camera)):
-            if known := {name: value for name, value in right.items() if name not in self.looks}:
+            if known := {name: value for name, value in right.items() if name not in self.extrapolated}:
                 print(expected_right_message(known, f"right in the {where}"))
 
 

@@ -84,6 +84,8 @@ class Outcome:
     """Probability that the poses are right in the hand; None without a calibrated one."""
     probability_right_in_camera: Probability | None = None
     """Probability that the poses are right in the camera; None without a calibrated one."""
+    probability_looks_right: Probability | None = None
+    """Probability that a draft is right but for distance and size; None of other results."""
     inputs: str = ""
     """Checksum of the clip; empty where the clip could not be read."""
     status: str = ""
@@ -189,6 +191,7 @@ def _result_outcome(
     return Outcome(
         job.name, state, message, findings=result.findings, probability_right=result.probability_right,
         probability_right_in_camera=result.probability_right_in_camera,
+        probability_looks_right=result.probability_looks_right,
         inputs=checksum, status=result.message, iou=result.mean_iou, ambiguous=result.ambiguous,
         seconds=float(result.seconds.get("total", 0.0)),
     )  # fmt: skip

@@ -5,8 +5,9 @@ The probability is a logistic regression on features (``checks.features``), fitt
     probability = 1 / (1 + exp(-(bias + sum_i weight_i x_i)))
 
 Each feature x_i is clipped at the best end of its range in the training data. Only calibrated methods have a
-probability, relative to the hand or to the camera (``CALIBRATIONS``). A measured hand that its evidence turned far was
-solved jointly with the object, as an estimated hand is: it is *corrected*, and has a calibration of its own.
+probability, relative to the hand, to the camera, or of drafts in the image (``CALIBRATIONS``). A measured hand that
+its evidence turned far was solved jointly with the object, as an estimated hand is: it is *corrected*, and has a
+calibration of its own. So have hands that were *lifted* from 2D joints, whose results are drafts.
 
 Results are kept by conformal risk control, for each kind of input. Among the n calibration results at least as probable
 as t, w are wrong. A result of probability p is kept for a share s where (w + 1) / (n + 1) <= 1 - s at some t <= p:
@@ -18,7 +19,7 @@ The candidate set of a result is the smallest that contains the right candidate 
 results for which no smaller set suffices. Where the largest size is insufficient there is no set.
 
 ``calibrated.json`` holds the weights of the features, and the thresholds by kind of input. It is written by
-``python -m benchmarks.probability`` and ``python -m benchmarks.kept``.
+``python -m benchmarks.probability``, ``python -m benchmarks.kept`` and ``python -m benchmarks.pixel_probability``.
 """
 
 from __future__ import annotations
@@ -36,16 +37,29 @@ from numpy import ndarray
 from getagrip.provenance import HandsKind
 from getagrip.result.findings import Probability
 
-Where = Literal["hand", "camera"]
-"""Frame in which a pose is compared with the true one."""
-PROBABILITY_MEANING = (
-    "right: the mean distance of vertices (ADD) in the {}, up to symmetries, is below 10 % of the diameter"
-)
+Where = Literal["hand", "camera", "image"]
+"""Frame in which a pose is compared with the true one; in the image its distance and size do not count."""
+POSE_FRAMES: tuple[Where, ...] = "hand", "camera"
+"""Frames with a calibration of measured and of estimated hands."""
+MAX_ROTATION_DEG, MAX_SHARE_ACROSS = 20.0, 0.1
+"""Errors below which a pose is right in the image: rotation; shift across the ray [diameters]."""
+_ADD_MEANING = "right: the mean distance of vertices (ADD) in the {}, up to symmetries, is below 10 % of the diameter"
+PROBABILITY_MEANINGS: Mapping[Where, str] = {
+    "hand": _ADD_MEANING.format("hand"),
+    "camera": _ADD_MEANING.format("camera"),
+    "image": f"right: up to symmetries and median over frames, the rotation is within {MAX_ROTATION_DEG:g} degrees and "
+    f"the centre across the ray within {100.0 * MAX_SHARE_ACROSS:g} % of the diameter; its distance does not count",
+}
 ROUNDING_TOLERANCE = 1e-4
 """Relative error by which limits are rounded in the file."""
-InputKind = Literal["measured", "corrected", "estimated", "joints", "network", "sensor"]
+InputKind = Literal[
+    "measured", "corrected", "estimated", "joints", "network", "sensor", "lifted", "lifted-sensor", "lifted-shape"
+]
 """Kind of a result's input: measured hands that the fit hardly changed; corrected measured hands; estimated hands
-without further evidence, with 2D joints, with depth from a network, with depth from a sensor."""
+without further evidence, with 2D joints, with depth from a network, with depth from a sensor; hands that were lifted
+from 2D joints, whose size is assumed, without and with depth from a sensor, and beside a built-in shape."""
+LIFTED_KINDS: tuple[InputKind, ...] = "lifted", "lifted-sensor", "lifted-shape"
+"""Kinds of hands that were lifted from 2D joints, as in drafts; their calibration is one of its own."""
 KEEP_SHARES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98)
 """Shares of right results for which results are kept."""
 CANDIDATE_SET_SIZES = (1, 2, 3, 5, 7)
@@ -100,7 +114,7 @@ class Calibration:
         clipped = {name: weight.clipped(signs[name]) for name, weight in self.weights.items()}
         logit = self.bias + sum(self.weights[name].weight * value for name, value in clipped.items())
         beyond = tuple(name for name, weight in self.weights.items() if weight.beyond(signs[name]))
-        meaning = PROBABILITY_MEANING.format(self.where)
+        meaning = PROBABILITY_MEANINGS[self.where]
         meaning += f"; calibrated on {self.data}; for anything else it is an extrapolation"
         return Probability(float(sigmoid(np.array(logit))), meaning, beyond)
 
@@ -130,14 +144,24 @@ class KeepThresholds:
 
 
 def kind_of_input(
-    hands: HandsKind, evidence: Container[str], depth_images: float, corrected: bool = False
+    hands: HandsKind,
+    evidence: Container[str],
+    depth_images: float,
+    corrected: bool = False,
+    lifted: bool = False,
+    shape_assumed: bool = False,
 ) -> InputKind:
     """Return the kind of an input by its hands, the terms of its evidence, and the feature ``depth-images``.
 
-    ``corrected``: whether a measured hand was corrected (``features.was_corrected``).
+    ``corrected``: whether a measured hand was corrected (``features.was_corrected``). ``lifted``: whether an estimated
+    hand has an assumed size and 2D joints. ``shape_assumed``: whether the mesh is a built-in shape.
     """
     if hands == "measured":
         return "corrected" if corrected else "measured"
+    if lifted and shape_assumed:
+        return "lifted-shape"
+    if lifted:
+        return "lifted-sensor" if "depth" in evidence and depth_images > 1.0 else "lifted"
     if "depth" in evidence:
         return "sensor" if depth_images > 1.0 else "network"
     return "joints" if "joints-2d" in evidence else "estimated"
@@ -175,10 +199,10 @@ Thresholds = dict[tuple[InputKind, Where], KeepThresholds]
 """By kind of input and frame of comparison."""
 
 
-def read_calibrations(file: Path) -> tuple[Calibrations, Calibrations, Calibrations, Thresholds]:
-    """Read the calibrations for measured, corrected and estimated hands, and the thresholds."""
+def read_calibrations(file: Path) -> tuple[Calibrations, Calibrations, Calibrations, Calibrations, Thresholds]:
+    """Read the calibrations for measured, corrected, estimated and lifted hands, and the thresholds."""
     stored = json.loads(file.read_text(encoding="utf-8"))
-    measured, corrected, estimated = (
+    measured, corrected, estimated, lifted = (
         {
             (method, one["where"]): Calibration(
                 **one | {"weights": {name: FeatureWeight(*numbers) for name, numbers in one["weights"].items()}}
@@ -186,7 +210,7 @@ def read_calibrations(file: Path) -> tuple[Calibrations, Calibrations, Calibrati
             for method, each in stored[hands].items()
             for one in each
         }
-        for hands in ("measured", "corrected", "estimated")
+        for hands in ("measured", "corrected", "estimated", "lifted")
     )
     thresholds = {
         (one["input"], one["where"]): KeepThresholds(
@@ -194,7 +218,9 @@ def read_calibrations(file: Path) -> tuple[Calibrations, Calibrations, Calibrati
         )
         for one in stored["keeping"]
     }
-    return measured, corrected, estimated, thresholds
+    return measured, corrected, estimated, lifted, thresholds
 
 
-CALIBRATIONS, CORRECTED_CALIBRATIONS, ESTIMATED_CALIBRATIONS, KEEP_THRESHOLDS = read_calibrations(CALIBRATION_FILE)
+CALIBRATIONS, CORRECTED_CALIBRATIONS, ESTIMATED_CALIBRATIONS, LIFTED_CALIBRATIONS, KEEP_THRESHOLDS = read_calibrations(
+    CALIBRATION_FILE
+)

@@ -185,6 +185,7 @@ def make_reconstruction(
         signs=judged.signs,
         probability_right=judged.right.get("hand"),
         probability_right_in_camera=judged.right.get("camera"),
+        probability_looks_right=judged.right.get("image"),
         segments=judged.segments,
     )
 

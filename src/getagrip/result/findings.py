@@ -109,6 +109,15 @@ class Probability:
         return format_probability(self.value) + (f" (extrapolated: {', '.join(self.beyond)})" if self.beyond else "")
 
 
+def describe_looks(right: Probability | None, looks_right: Probability | None) -> str:
+    """Say how a result probably looks, by the probability that it looks right, else by that of its pose in the hand."""
+    if looks_right is None:
+        return "" if right is None else right.by_eye
+    return (
+        f"probably looks {'right' if looks_right.value >= 0.5 else 'wrong'} ({format_probability(looks_right.value)})"
+    )
+
+
 def format_probability(value: float) -> str:
     """Write a probability, 0 to 1, as a percentage: never 0 % or 100 %."""
     if value < MIN_SHOWN_PROBABILITY or value > 1.0 - MIN_SHOWN_PROBABILITY:

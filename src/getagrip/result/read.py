@@ -39,7 +39,7 @@ RESULT_ARRAYS = (
 RESULT_DEFAULTS: Json = {
     "ambiguous": False, "message": "", "notes": [], "assumptions": {}, "findings": [], "checks": {}, "signs": {},
     "probability_right": None, "probability_right_in_camera": None, "segments": [], "hand_energy": {},
-    "distance_interval_mm": None,
+    "distance_interval_mm": None, "probability_looks_right": None,
 }  # fmt: skip
 """Optional keys of ``result.json``, and their defaults."""
 RESULT_FIELDS: dict[str, tuple[type, str]] = {
@@ -127,6 +127,7 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, Json]:
         probability_right_in_camera=read_probability(
             record, fields["probability_right_in_camera"], "probability_right_in_camera"
         ),
+        probability_looks_right=read_probability(record, fields["probability_looks_right"], "probability_looks_right"),
         distance_interval_mm=_read_distance_interval(record, fields["distance_interval_mm"]),
         T_cam_hand=_read_hand_poses(path, stored, "T_cam_hand", T),
         hand_scale=float(_read_scales(path, stored, "hand_scale", ())) if "hand_scale" in stored else 1.0,

@@ -17,7 +17,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData, view
 from getagrip.io.files import shorten_value
-from getagrip.result.findings import Finding, Probability, read_checks, read_probability
+from getagrip.result.findings import Finding, Probability, describe_looks, read_checks, read_probability
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -205,6 +205,7 @@ class Reconstruction(ArrayData):
         probability_right: probability that the poses are right relative to the hand (ADD, up to symmetries, below 10 %
             of the diameter); None if it is not calibrated for this kind of fit.
         probability_right_in_camera: probability that the poses are right relative to the camera.
+        probability_looks_right: probability that they are right but for distance and size; of drafts only.
         distance_interval_mm: interval that contains the distance from the camera to the object's centre, median over
             frames, with 90 % [mm] (``fitting.stages.distance``); None if unknown.
         T_cam_hand: (T, 4, 4) pose of the hand, possibly repaired and refined, hand frame to camera frame [m];
@@ -247,6 +248,7 @@ class Reconstruction(ArrayData):
     signs: dict[str, float] = field(default_factory=dict)
     probability_right: Probability | None = None
     probability_right_in_camera: Probability | None = None
+    probability_looks_right: Probability | None = None
     distance_interval_mm: tuple[float, float] | None = None
     T_cam_hand: Float[ndarray, "T 4 4"] | None = None
     hand_scale: float = 1.0
@@ -320,8 +322,8 @@ class Reconstruction(ArrayData):
 
     @property
     def looks(self) -> str:
-        """Probable visual quality, for results with a probability and an assumed mesh; else empty."""
-        return "" if self.probability_right is None else self.probability_right.by_eye
+        """Probable visual quality, for drafts and results with an assumed mesh; else, and without one, empty."""
+        return describe_looks(self.probability_right, self.probability_looks_right)
 
     @property
     def in_hand(self) -> Float[ndarray, "n T 4 4"]:

@@ -115,6 +115,7 @@ def _result_fields(
         "signs": result.signs,
         "probability_right": result.probability_right,
         "probability_right_in_camera": result.probability_right_in_camera,
+        **({} if (looks := result.probability_looks_right) is None else {"probability_looks_right": looks}),
         **({} if result.distance_interval_mm is None else {"distance_interval_mm": result.distance_interval_mm}),
         "energy": result.energy,
         **({"hand_energy": result.hand_energy} if result.hand_energy else {}),

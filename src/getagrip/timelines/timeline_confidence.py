@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.checks import INPUT_CHECKS
-from getagrip.checks.calibration import PROBABILITY_MEANING
+from getagrip.checks.calibration import PROBABILITY_MEANINGS
 from getagrip.checks.features import compute_features
 from getagrip.checks.timeline_checks import check_timeline
 from getagrip.clip import Clip, Segment, other_evidence
@@ -31,7 +31,7 @@ from getagrip.timelines.transitions import TimelineMotion
 
 N_JUDGED_CANDIDATES = 4
 """Number of a grasp's solutions that its features compare, the chosen one included: as many as a search ends with."""
-TIMELINE_PROBABILITY_MEANING = PROBABILITY_MEANING.format("hand")
+TIMELINE_PROBABILITY_MEANING = PROBABILITY_MEANINGS["hand"]
 TIMELINE_PROBABILITY_MEANING += "; calibrated on single grasps, a rough guide for timelines"
 """Meaning of a grasp's probability of being right (docs/checks.md)."""
 

@@ -29,6 +29,8 @@ from getagrip.checks.calibration import (
     CORRECTED_CALIBRATIONS,
     ESTIMATED_CALIBRATIONS,
     KEEP_THRESHOLDS,
+    LIFTED_CALIBRATIONS,
+    LIFTED_KINDS,
     InputKind,
     Where,
     kind_of_input,
@@ -181,24 +183,31 @@ def scale_check(problem: Problem, found: MethodResult) -> tuple[float, float]:
 def probabilities(
     clip: Clip, options: Options, signs: Mapping[str, float], findings: Sequence[Finding], terms: Collection[str]
 ) -> dict[Where, Probability | None]:
-    """Compute the probability that a result is right, in the hand and in the camera.
+    """Compute the probability that a result is right, in the hand, in the camera and, of lifted hands, in the image.
 
     ``terms`` are the names in its energy and in its hand's.
     """
     hands, depth = kind_of_hands(clip.provenance), signs.get("depth-images", 0.0)
-    kind = kind_of_input(hands, terms, depth, was_corrected(signs))
+    guessed_shape = is_assumed(clip.provenance.get("mesh"))
+    kind = kind_of_input(hands, terms, depth, was_corrected(signs), was_lifted(clip), guessed_shape)
     found = {where: probability_right(options, signs, findings, where, terms, kind) for where in get_args(Where)}
     beyond = [finding.check for finding in findings if finding.check in UNCALIBRATED_DEPTH_FINDINGS]
-    if hands != "measured" and is_assumed(clip.provenance.get("mesh")):  # calibrated on exact meshes only
+    if guessed_shape and kind not in ("measured", "corrected", "lifted-shape"):  # calibrated on exact meshes only
         beyond.insert(0, ASSUMED_MESH)
     if beyond:
         kept = (right and replace(right, beyond=(*beyond, *right.beyond)) for right in found.values())
     else:
         kept = (right and KEEP_THRESHOLDS[kind, where].applied(right) for where, right in found.items())
-    in_hand, in_camera = kept
+    in_hand, in_camera, in_image = kept
     # No pixel tells a wrong focal length from another distance.
     guessed = is_assumed(clip.provenance.get("camera"))
-    return {"hand": in_hand, "camera": None if guessed else in_camera}
+    return {"hand": in_hand, "camera": None if guessed else in_camera, "image": in_image}
+
+
+def was_lifted(clip: Clip) -> bool:
+    """Return whether a clip's hand was lifted from 2D joints: it has them, and its size is, or was, assumed."""
+    assumed_size = is_assumed(clip.provenance.get("hands_scale")) or clip.hand_scale != 1.0
+    return clip.hand.joints_2d is not None and assumed_size
 
 
 def probability_right(
@@ -214,7 +223,9 @@ def probability_right(
     ``findings`` are about the input and the result, ``kind`` is the input's; by default its hands are measured.
     """
     kind = kind or kind_of_input("measured", terms, 0.0, was_corrected(signs))
-    calibrations = {"measured": CALIBRATIONS, "corrected": CORRECTED_CALIBRATIONS}.get(kind, ESTIMATED_CALIBRATIONS)
+    by_kind = {"measured": CALIBRATIONS, "corrected": CORRECTED_CALIBRATIONS}
+    by_kind |= dict.fromkeys(LIFTED_KINDS, LIFTED_CALIBRATIONS)
+    calibrations = by_kind.get(kind, ESTIMATED_CALIBRATIONS)
     calibration = calibrations.get((options.method, where))
     if calibration is None or uncalibrated_reason(options, findings, terms):
         return None
