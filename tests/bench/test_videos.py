@@ -21,8 +21,11 @@ from getagrip.io.images import write_video
 from getagrip.synthetic.filmed import FILM_SIZE_PX, filmed_clips, make_filmed_scene
 from getagrip.synthetic.scene import render_pictures
 
-OBJECT = {"right": True, "add_percent": 4.0, "rotation_deg": 3.0, "along_mm": -6.0, "across_mm": 1.5}
-RESULT = {"object": OBJECT, "candidates": [OBJECT], "mask_iou": 0.9, "said": {"in_camera": 0.7}, "seconds": 5.0}
+OBJECT = {
+    "right": True, "add_mm": 4.0, "add_percent": 4.0, "rotation_deg": 3.0, "along_mm": -6.0, "across_mm": 1.5,
+}  # fmt: skip
+SAID = {"in_camera": 0.7, "distance_interval_mm": [450.0, 520.0]}
+RESULT = {"object": OBJECT, "candidates": [OBJECT], "mask_iou": 0.9, "said": SAID, "distance_mm": 500.0, "seconds": 5.0}
 RECORD: Json = {
     "split": "train",
     "stages": {"hand_found": 1.0, "side_right": True, "landmarks_off": 0.05, "interval_off": [0, 2], "masks_iou": 0.9},
@@ -91,8 +94,9 @@ def test_a_failure_counts_as_wrong_in_the_tables() -> None:
     columns = "videos", "hand found, %", "right kept, %", "right first, %"
     assert [of[key] for key in columns] == ["2", "100", "100", "50"]
     rows = [dict(zip(oracles[0], row, strict=True)) for row in oracles[2:]]
-    assert [(row["truth in place of"], row["no result"], row["right, %"]) for row in rows] == [
-        ("nothing", "0", "50"), ("masks", "2", "0"),
+    keys = "truth in place of", "no result", "right, %", "right but for distance, %", "interval holds, %"
+    assert [tuple(row[key] for key in keys) for row in rows] == [
+        ("nothing", "0", "50", "100", "100"), ("masks", "2", "0", "0", "–"),
     ]  # fmt: skip
     assert benchmark.page([failed]) is None
 

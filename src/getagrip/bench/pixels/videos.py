@@ -17,6 +17,7 @@ from getagrip.bench.job import Benchmark, BenchmarkPage, ClipScores, Trial
 from getagrip.bench.pixels.video_draft import ORACLES, Oracle, VideoDraft
 from getagrip.bench.sources import Sample
 from getagrip.bench.sources.rendered_videos import RenderedVideos
+from getagrip.checks.calibration import MAX_ROTATION_DEG, MAX_SHARE_ACROSS
 from getagrip.errors import InputError, unknown_choice_error
 from getagrip.fitting.options import Options
 from getagrip.io.files import Json
@@ -46,7 +47,7 @@ STAGE_HEADINGS = (
 )  # fmt: skip
 ORACLE_HEADINGS = (
     "split", "truth in place of", "videos", "no result", "ADD, % of diameter", "right, %", "rotation, deg",
-    "along ray, mm", "across ray, mm", "masks, IOU",
+    "along ray, mm", "across ray, mm", "masks, IOU", "right but for distance, %", "interval holds, %",
 )  # fmt: skip
 
 
@@ -160,6 +161,8 @@ class VideoBenchmark(Benchmark[VideoScores]):
             "in the camera; right: mean ADD, up to symmetries, below 10 % of the diameter; no result counts as wrong",
             *["landmarks are simulated: the networks were absent"] * simulated,
             "along ray: of the joints' middle, of the object's centre; absolute values for the object",
+            "right but for distance: rotation within 20 degrees, across the ray within 10 % of the diameter; interval "
+            "holds: the result's interval of its distance from the camera, of 90 %",
             "interval off: mean distance of first and last frame from the true ones",
             "right kept, first: a kept candidate is right, the result is; said: mean probability in the camera; Brier: "
             "its score",
@@ -188,6 +191,21 @@ def _right(one: VideoScores, name: str, kept: bool = False) -> bool:
     if "failure" in found:
         return False
     return any(each["right"] for each in found["candidates"]) if kept else bool(found["object"]["right"])
+
+
+def _looks_right(found: Json) -> bool:
+    """Return whether a result is right but for its distance and size."""
+    if "failure" in found:
+        return False
+    one = found["object"]
+    diameter = 100.0 * one["add_mm"] / one["add_percent"]
+    return bool(one["rotation_deg"] < MAX_ROTATION_DEG and one["across_mm"] < MAX_SHARE_ACROSS * diameter)
+
+
+def _held(found: Json) -> bool | None:
+    """Return whether the interval of a result's distance holds the true one; None where it states none."""
+    interval = found.get("said", {}).get("distance_interval_mm")
+    return None if interval is None else bool(interval[0] <= found["distance_mm"] <= interval[1])
 
 
 def _stage_row(split: str, scores: Sequence[VideoScores]) -> list[str]:
@@ -228,4 +246,6 @@ def _oracle_row(split: str, scores: Sequence[VideoScores], name: str) -> list[st
         _median([abs(each["along_mm"]) for each in made]),
         _median([each["across_mm"] for each in made], ".1f"),
         _median([result.get("mask_iou") for result in results], ".2f"),
+        _mean([_looks_right(result) for result in results]),
+        _mean([_held(result) for result in results]),
     ]
