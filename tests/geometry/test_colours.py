@@ -34,6 +34,12 @@ def test_a_scan_has_the_colours_of_its_texture(tmp_path: Path) -> None:
     np.testing.assert_allclose(mesh.colours[~below], [[0, 0, 255]] * 4, atol=3)
 
 
+def test_files_named_from_the_folder_itself_are_read(tmp_path: Path) -> None:
+    path = scan_in(tmp_path, "newmtl a\nmap_Kd ./cube.png\n")
+    path.write_text(CUBE.replace("mtllib cube", "mtllib ./cube"))
+    assert read_textured_mesh(path).colours is not None
+
+
 @pytest.mark.parametrize("name", ["../cube.png", "other.png", "", "/etc/hostname"])
 def test_a_texture_must_be_beside_its_scan(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match="map_Kd"):

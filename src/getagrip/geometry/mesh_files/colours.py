@@ -84,6 +84,7 @@ def _texture_coordinates(path: Path, lines: Sequence[str]) -> tuple[Float[ndarra
 def _named_file(path: Path, lines: Sequence[str], key: str) -> Path:
     """Return the file beside ``path`` that a line with a key names. Raises ``InputError``."""
     name = next((line.split(maxsplit=1)[1].strip() for line in lines if line.strip().startswith(f"{key} ")), "")
+    name = name.removeprefix("./")  # as exporters write it
     if not files.is_portable_name(name):
         raise InputError(path, key, files.shorten_value(name), "the name of a file in the same folder")
     return files.inside(path.parent, name, key, "a file in the same folder", path)
