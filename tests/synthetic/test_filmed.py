@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.model import HandModel
@@ -22,7 +21,6 @@ from getagrip.synthetic.filmed import (
     draw_look,
     filmed_clips,
     make_filmed_scene,
-    read_scan,
 )
 from getagrip.synthetic.video import SKIN_TONES
 
@@ -113,27 +111,6 @@ def test_looks_of_validation_lack_in_training() -> None:
     assert all(tuple(look.skin) in tones for look in looks["train"])
     assert not any(tuple(look.skin) in tones for look in looks["validation"])
     assert len({look.sleeve_start for look in looks["validation"]}) > 2
-
-
-def test_a_scan_has_the_colours_of_its_texture(tmp_path: Path) -> None:
-    mesh, colours = read_scan(scan_in(tmp_path))
-    assert mesh.is_closed
-    below = mesh.vertices[:, 2] < 0.05
-    np.testing.assert_allclose(colours[below], [[1.0, 0.0, 0.0]] * 4, atol=0.01)
-    np.testing.assert_allclose(colours[~below], [[0.0, 0.0, 1.0]] * 4, atol=0.01)
-
-
-@pytest.mark.parametrize("name", ["../cube.png", "other.png", "", "/etc/hostname"])
-def test_a_texture_must_be_beside_its_scan(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InputError, match="map_Kd"):
-        read_scan(scan_in(tmp_path, f"newmtl a\nmap_Kd {name}\n"))
-
-
-def test_a_scan_without_texture_coordinates_is_refused(tmp_path: Path) -> None:
-    path = scan_in(tmp_path)
-    path.write_text(CUBE.replace("/1", "").replace("/2", ""))
-    with pytest.raises(InputError, match="texture coordinates"):
-        read_scan(path)
 
 
 @pytest.mark.slow

@@ -122,6 +122,8 @@ def read_own_mesh(request: MeshOptions) -> OwnMesh:
         raise UsageError(f"--unit cannot be used with this package's own {request.kind}, which is in metres")
     vertices, faces, shape = _read_mesh_arrays(request)
     words = shape.text
+    colours, without = _read_mesh_colours(request, vertices)
+    words += without
     kept = drop_degenerate_faces(vertices, faces)  # generated meshes are full of slivers
     if len(kept) < len(faces):
         words += f", {format_count(len(faces) - len(kept), 'face')} without area left out"
@@ -133,7 +135,28 @@ def read_own_mesh(request: MeshOptions) -> OwnMesh:
     shape = assumed(words) if guess else replace(shape, text=words)
     provenance = {"mesh": shape} | ({} if scale is None else {"scale": scale})
     sized = request.known_scale or request.size_mm is not None or request.diameter_mm is not None
-    return OwnMesh(checked_mesh(request.path, vertices, kept), sized, provenance)
+    mesh = checked_mesh(request.path, vertices, kept)
+    return OwnMesh(mesh if colours is None else mesh.coloured_like(vertices, colours), sized, provenance)
+
+
+def _read_mesh_colours(
+    request: MeshOptions, vertices: Float[ndarray, "..."]
+) -> tuple[UInt8[ndarray, "V 3"] | None, str]:
+    """Read the colours of a mesh's vertices; None without any, or with a description of why they do not read."""
+    import numpy as np
+    from scipy.spatial import cKDTree
+
+    from getagrip.geometry.mesh_files.colours import names_texture, parse_colours, texture_colours
+
+    if request.kind is not None or vertices.ndim != 2 or not np.isfinite(vertices).all():
+        return None, ""
+    try:
+        painted = texture_colours(request.path) if names_texture(request.path) else parse_colours(request.path)
+    except InputError as error:  # a pose needs no colours
+        return None, f", without its texture ({error.key}: {error.got})"
+    if painted is None or painted.points.shape[1:] != vertices.shape[1:]:
+        return None, ""
+    return painted.colours[cKDTree(painted.points).query(vertices)[1]], ""
 
 
 def _read_mesh_arrays(request: MeshOptions) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], Source]:

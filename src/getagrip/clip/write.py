@@ -62,7 +62,7 @@ def write_clip_contents(
 ) -> None:
     """Write the files of a clip into an empty folder, as ``write_clip`` does."""
     files.write_json(folder / "clip.json", _clip_json_fields(clip))
-    write_mesh(clip.mesh, folder / "object.obj")
+    write_mesh(clip.mesh, folder / _mesh_file(clip))
     if clip.hand.vertices.size:
         write_hand(clip.hand, folder / "hand.npz")
     if clip.other_hand is not None:
@@ -117,11 +117,16 @@ def _clip_json_fields(clip: Clip) -> dict[str, object]:
         **({} if clip.times is None else {"times": clip.times}),
         "size": clip.size,
         "camera": camera,
-        "mesh": "object.obj",
+        "mesh": _mesh_file(clip),
         "scale": clip.scale,
         **({"segments": segment_fields(clip.segments, clip.frames)} if clip.segments else {}),
         "provenance": clip.provenance,
     }
+
+
+def _mesh_file(clip: Clip) -> str:
+    """Return the name of the mesh's file; .obj has no place for colours that all programs read."""
+    return "object.obj" if clip.mesh.colours is None else "object.ply"
 
 
 def _collapse_constant(matrices: Float[ndarray, "T n n"]) -> Float[ndarray, "..."]:

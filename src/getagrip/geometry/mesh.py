@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float, Int, Shaped, UInt8
 from numpy import ndarray
 
 from getagrip.io.array_data import ArrayData, check_finite, check_ids
@@ -39,10 +39,12 @@ class Mesh(ArrayData):
     Attributes:
         vertices: (V, 3) vertices in the mesh's own frame [m].
         faces: (F, 3) vertex ids of the corners of each face, counter-clockwise seen from outside.
+        colours: (V, 3) red, green and blue of each vertex, 0 to 255; None if unknown. Poses do not depend on them.
     """
 
     vertices: Float[ndarray, "V 3"]
     faces: Int[ndarray, "F 3"]
+    colours: UInt8[ndarray, "V 3"] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -101,6 +103,12 @@ class Mesh(ArrayData):
         """Return a note if this mesh was fitted or measured (``done``) instead of the ``whole`` one; else nothing."""
         faces = len(whole.faces), len(self.faces)
         return [] if self is whole else [f"the mesh of {faces[0]} faces was {done} with {faces[1]}"]
+
+    def coloured_like(self, points: Float[ndarray, "n 3"], colours: UInt8[ndarray, "n 3"]) -> Mesh:
+        """Return the mesh with the colour of the nearest of some points at each vertex."""
+        from scipy.spatial import cKDTree
+
+        return Mesh(self.vertices, self.faces, colours[cKDTree(points).query(self.vertices)[1]])
 
     @cached_property
     def volume(self) -> float:
@@ -255,7 +263,8 @@ def cluster_vertices(mesh: Mesh, faces: int) -> Mesh:
     """Simplify a very large mesh to about ``faces`` faces by vertex clustering, which is fast.
 
     Vertices in the same cell of a grid become their mean, and faces with two corners in one cell vanish: no vertex
-    moves farther than a cell, on smooth surfaces much less. A closed mesh stays closed. A mesh with no more than
+    moves farther than a cell, on smooth surfaces much less. A closed mesh stays closed. Colours are those of a vertex
+    in the cell. A mesh with no more than
     ``faces`` faces and vertices (a triangle soup has three per face) is returned unchanged.
     """
     if len(mesh.faces) <= faces and len(mesh.vertices) <= faces:
@@ -266,11 +275,17 @@ def cluster_vertices(mesh: Mesh, faces: int) -> Mesh:
     means = np.stack(sums, axis=1) / np.bincount(group)[:, None]
     a, b, c = corners = group[mesh.faces].T
     used, kept = np.unique(corners.T[(a != b) & (b != c) & (c != a)], return_inverse=True)
-    return Mesh(means[used], kept.reshape(-1, 3)) if len(used) else mesh
+    if not len(used):
+        return mesh
+    colours = None if mesh.colours is None else mesh.colours[np.unique(group, return_index=True)[1][used]]
+    return Mesh(means[used], kept.reshape(-1, 3), colours)
 
 
 def decimate(mesh: Mesh, faces: int) -> Mesh:
-    """Simplify a mesh to about ``faces`` faces by quadric edge collapse; triangle soups by ``cluster_vertices``."""
+    """Simplify a mesh to about ``faces`` faces by quadric edge collapse; triangle soups by ``cluster_vertices``.
+
+    Each vertex has the colour of the nearest one of the whole mesh.
+    """
     if len(mesh.faces) <= faces:
         return mesh
     import fast_simplification
@@ -282,8 +297,10 @@ def decimate(mesh: Mesh, faces: int) -> Mesh:
         )
         few = Mesh(np.asarray(v, dtype=float), np.asarray(f, dtype=np.int64))
         if len(f) <= MAX_DECIMATION_RATIO * faces:
-            return few
-    return cluster_vertices(few, faces)
+            break
+    else:
+        few = cluster_vertices(few, faces)
+    return few if mesh.colours is None else few.coloured_like(mesh.vertices, mesh.colours)
 
 
 def same_rows(rows: Shaped[ndarray, "N K"]) -> Int[ndarray, "N"]:

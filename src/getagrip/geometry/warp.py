@@ -42,7 +42,7 @@ class Warp(ArrayData):
 
     def __call__(self, mesh: Mesh) -> Mesh:
         """Deform a mesh."""
-        return Mesh(self.moved(mesh.vertices), mesh.faces)
+        return replace(mesh, vertices=self.moved(mesh.vertices))
 
     def moved(self, X: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
         """Return the deformed points [m]."""

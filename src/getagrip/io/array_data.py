@@ -12,7 +12,7 @@ from types import UnionType
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
-from jaxtyping import AbstractArray, Bool, Float, Int, Shaped
+from jaxtyping import AbstractArray, Bool, Float, Int, Shaped, UInt8
 from numpy import ndarray
 
 from getagrip.errors import NamedFields, UsageError, argument_types, check_types
@@ -24,6 +24,7 @@ MAX_REPR_ITEMS = 3
 """Longest collection that ``repr`` writes in full."""
 ARRAY_KINDS: dict[object, tuple[str, type, str]] = {
     Float: ("f", float, "floats"), Int: ("iu", np.int64, "integers"), Bool: ("b", bool, "booleans"),
+    UInt8: ("u", np.uint8, "bytes"),
 }  # fmt: skip
 """For each of jaxtyping's types: numpy's kinds, the type of the stored array, and its name in errors."""
 

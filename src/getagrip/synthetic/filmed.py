@@ -30,12 +30,12 @@ from getagrip.clip import FINGERS, Clip, Truth, World
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files import read_textured_mesh
 from getagrip.geometry.warp import align_similarity
 from getagrip.hands import generic
 from getagrip.hands.generic import metacarpal_base, rest_fingers
 from getagrip.hands.grips import CATEGORY_PRIORS, Grip
 from getagrip.hands.model import KNUCKLES, PARENTS, HandModel, PosedHand, Side, hand_track
-from getagrip.io import files
 from getagrip.result import Axis
 from getagrip.synthetic.categories import SHAPE_MAKERS, Split
 from getagrip.synthetic.grasp import Grasper, SignedDistance
@@ -78,8 +78,7 @@ RETREAT_DIRECTION = np.array([0.55, 0.83, 0.0])
 """Direction in which an open hand leaves, in the hand frame of a right hand: back, and away from the palm."""
 MAX_PALM_SPAN_M = 0.09
 """Largest side of an object around which fingers close; else a hand takes it from its thinner side [m]."""
-MAX_SCAN_BYTES, MAX_SCAN_FACES = 64 * 2**20, 40_000
-MAX_TEXTURE_SIDE_PX = 8192
+MAX_SCAN_FACES = 40_000
 
 
 HAND_SIZE_SIGMA, BONE_SIGMA = 0.05, 0.05
@@ -150,7 +149,8 @@ def make_filmed_scene(clip: FilmedClip) -> tuple[Scene, Float[ndarray, "V 3"] | 
     does not read.
     """
     rng = np.random.default_rng([clip.seed, *clip.kind.encode(), *b"filmed"])
-    mean, colours = (SHAPE_MAKERS[clip.kind](), None) if clip.scan is None else read_scan(clip.scan)
+    mean = SHAPE_MAKERS[clip.kind]() if clip.scan is None else read_scan(clip.scan)
+    colours = None if mean.colours is None else mean.colours / 255.0
     if clip.side == "left":
         mean = mirror_mesh(mean)  # the scene is mirrored at the end
     grasped, usual = mean, usual_grip(mean, rng)
@@ -286,55 +286,12 @@ def _draw_poses(
 
 
 @cache
-def read_scan(path: Path) -> tuple[Mesh, Float[ndarray, "V 3"]]:
-    """Read a textured OBJ file: the mesh [m], and the texture's colour at each vertex, 0 to 1.
-
-    Raises ``InputError`` for a file that does not read, or without a texture beside it.
-    """
-    from getagrip.geometry.mesh_files import checked_mesh, parse_mesh
-    from getagrip.io.images import decode_image
-
-    lines = files.read_text(path, MAX_SCAN_BYTES).splitlines()
-    placed, uv = _texture_coordinates(path, lines)
-    material = _named_file(path, lines, "mtllib")
-    texture = _named_file(material, files.read_text(material, files.MAX_JSON_BYTES).splitlines(), "map_Kd")
-    image = decode_image(texture, "", files.read_bytes(texture, MAX_SCAN_BYTES), MAX_TEXTURE_SIDE_PX)
-    mesh = checked_mesh(path, *parse_mesh(path))
+def read_scan(path: Path) -> Mesh:
+    """Read a textured scan [m]. Raises ``InputError`` for a file that does not read, or without a texture beside it."""
+    mesh = read_textured_mesh(path)
     if len(mesh.faces) > MAX_SCAN_FACES:
         raise InputError(path, "faces", f"{len(mesh.faces)} faces", f"a scan of at most {MAX_SCAN_FACES}, decimated")
-    from scipy.spatial import cKDTree
-
-    nearest = cKDTree(placed).query(mesh.vertices)[1]  # vertices are merged, and renumbered, as the mesh is checked
-    height, width = image.shape[:2]
-    column, row = (np.array([[0.0, 1.0]]) + np.array([[1.0, -1.0]]) * (uv[nearest] % 1.0)).T
-    pixels = np.atleast_3d(image)[
-        np.clip(row * height, 0, height - 1).astype(int), np.clip(column * width, 0, width - 1).astype(int)
-    ]
-    return mesh, np.broadcast_to(pixels[:, :3] / 255.0, mesh.vertices.shape).copy()
-
-
-def _texture_coordinates(path: Path, lines: Sequence[str]) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 2"]]:
-    """Return vertices that faces name with a texture coordinate, and these coordinates."""
-    try:
-        vertices = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=float)
-        points = np.array([line.split()[1:3] for line in lines if line.startswith("vt ")], dtype=float)
-        corners = {word for line in lines if line.startswith("f ") for word in line.split()[1:]}
-        pairs = np.array([word.split("/")[:2] for word in sorted(corners)], dtype=int) - 1
-        if pairs.min() < 0 or not (np.isfinite(vertices).all() and np.isfinite(points).all()):
-            raise ValueError
-        return vertices[pairs[:, 0]], points[pairs[:, 1]]
-    except (ValueError, IndexError) as error:
-        raise InputError(
-            path, "f", "faces without texture coordinates", "f v/vt ... in every face, counted from 1"
-        ) from error
-
-
-def _named_file(path: Path, lines: Sequence[str], key: str) -> Path:
-    """Return the file beside ``path`` that a line with a key names. Raises ``InputError``."""
-    name = next((line.split(maxsplit=1)[1].strip() for line in lines if line.strip().startswith(f"{key} ")), "")
-    if not files.is_portable_name(name):
-        raise InputError(path, key, files.shorten_value(name), "the name of a file in the same folder")
-    return files.inside(path.parent, name, key, "a file in the same folder", path)
+    return mesh
 
 
 @dataclass(frozen=True)

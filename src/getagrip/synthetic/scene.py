@@ -227,7 +227,7 @@ def mirror_scene(scene: Scene) -> Scene:
 
 def mirror_mesh(mesh: Mesh) -> Mesh:
     """Reverse a mesh's own y axis."""
-    return Mesh(mesh.vertices * np.array([1.0, -1.0, 1.0]), mesh.faces[:, ::-1].copy())
+    return Mesh(mesh.vertices * np.array([1.0, -1.0, 1.0]), mesh.faces[:, ::-1].copy(), mesh.colours)
 
 
 def ground_truth_masks(scene: Scene) -> Masks:

@@ -78,8 +78,9 @@ class VideoTrial(Trial[VideoScores]):
     def scores(self) -> VideoScores:
         filmed, scan, nets = asdict(self.filmed), self.filmed.scan, open_networks(self.models)
         if scan is not None:
-            mesh, colours = read_scan(scan)
-            filmed["scan"] = sha256(mesh.vertices.tobytes() + colours.tobytes()).hexdigest()
+            mesh = read_scan(scan)
+            assert mesh.colours is not None
+            filmed["scan"] = sha256(mesh.vertices.tobytes() + mesh.colours.tobytes()).hexdigest()
         of = {
             "inputs": {"filmed": filmed, "oracles": self.oracles, "simulated": nets is None},
             "options": asdict(self.options),

@@ -11,9 +11,10 @@ from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError, check_arguments
 from getagrip.geometry.mesh import Mesh, face_areas, merge_vertices
+from getagrip.geometry.mesh_files.colours import ColouredPoints, parse_colours, texture_colours
 from getagrip.geometry.mesh_files.glb import parse_glb
 from getagrip.geometry.mesh_files.obj import obj_content, parse_obj
-from getagrip.geometry.mesh_files.ply import parse_ply
+from getagrip.geometry.mesh_files.ply import parse_ply, ply_content
 from getagrip.io import files
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb")
@@ -31,10 +32,23 @@ def read_mesh(path: str | Path) -> Mesh:
     """Read and check a triangle mesh in metres (.obj, .ply, .stl, .glb), placed by the file's own transforms.
 
     Closed meshes wound inward are flipped. Raises ``InputError`` for an unreadable file, no faces, degenerate faces,
-    non-finite vertices or an absurd size.
+    non-finite vertices or an absurd size. Colours of vertices (.ply) are kept; those of a texture are read by
+    ``read_textured_mesh``.
     """
     path = Path(path)
-    return checked_mesh(path, *parse_mesh(path))
+    return _with_colours(checked_mesh(path, *parse_mesh(path)), parse_colours(path))
+
+
+def read_textured_mesh(path: Path) -> Mesh:
+    """Read a mesh as ``read_mesh``, with the colour of its texture (.obj) at each vertex.
+
+    Raises ``InputError`` also for a texture that does not read, is not beside the mesh, or is missing.
+    """
+    return _with_colours(checked_mesh(path, *parse_mesh(path)), texture_colours(path))
+
+
+def _with_colours(mesh: Mesh, painted: ColouredPoints | None) -> Mesh:
+    return mesh if painted is None else mesh.coloured_like(*painted)
 
 
 def parse_mesh(path: Path) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."]]:
@@ -125,10 +139,16 @@ def check_size(path: Path, key: str, extent: float, what: str, units: str = "") 
 
 @check_arguments
 def write_mesh(mesh: Mesh, path: str | Path) -> Path:
-    """Write a mesh as .obj, .ply, .stl or .glb, and return its path. Raises ``UsageError`` for other suffixes."""
+    """Write a mesh as .obj, .ply, .stl or .glb, and return its path; .ply keeps colours.
+
+    Raises ``UsageError`` for other suffixes.
+    """
     path = Path(path)
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise UsageError(f"unknown suffix {path.suffix!r} of {path}; choose from {', '.join(MESH_SUFFIXES)}")
+    if path.suffix.lower() == ".ply" and mesh.colours is not None:
+        files.write_bytes(path, ply_content(mesh))
+        return path
     if path.suffix.lower() == ".obj":
         files.write_bytes(path, obj_content(mesh.vertices, mesh.faces))
         return path

@@ -5,16 +5,19 @@ Not read by trimesh, which cuts every polygon into a fan, and refuses binary fil
 
 from __future__ import annotations
 
+import re
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from getagrip.errors import InputError
+from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files.obj import MAX_OBJ_ELEMENTS, triangulate_polygons
 from getagrip.io import files
 
@@ -57,13 +60,68 @@ def parse_ply(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
 
     Raises ``InputError``.
     """
+    tables = _read_ply_tables(path, content)
+    points = _ply_points(path, tables)
+    of_faces = tables.get("face", Columns())
+    polygons = next((of_faces[name] for name in VERTEX_INDEX_PROPERTIES if name in of_faces), None)
+    if polygons is None or not len(polygons[0]):
+        raise InputError(path, "faces", "no faces", "a mesh with faces")
+    counts, corners = polygons
+    few = np.flatnonzero(counts < 3)
+    if few.size:
+        raise InputError(path, "faces", f"face {few[0]} with {counts[few[0]]} corners", "three or more")
+    if len(corners) - 2 * len(counts) > MAX_OBJ_ELEMENTS:
+        raise InputError(path, "faces", f"more than {MAX_OBJ_ELEMENTS} triangles", f"at most {MAX_OBJ_ELEMENTS}")
+    with np.errstate(invalid="ignore"):
+        return points, triangulate_polygons(path, points, counts, corners.astype(np.int64))
+
+
+def parse_ply_colours(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], UInt8[ndarray, "V 3"]] | None:
+    """Parse vertices and their colours, 0 to 255; None without any. Raises ``InputError``."""
+    header = content[: 2**16].partition(b"end_header")[0]
+    if not all(re.search(rb"property\s+(uchar|uint8)\s+" + name, header) for name in (b"red", b"green", b"blue")):
+        return None
+    tables = _read_ply_tables(path, content)
+    points, columns = _ply_points(path, tables), tables.get("vertex", Columns())
+    if not all(name in columns for name in ("red", "green", "blue")):
+        return None  # of faces
+    colours = np.stack([columns[name][1] for name in ("red", "green", "blue")], axis=1)
+    with np.errstate(invalid="ignore"):
+        return points, colours.astype(np.uint8)
+
+
+def ply_content(mesh: Mesh) -> bytes:
+    """Write a mesh with colours as a binary .ply file, every coordinate exactly [m]."""
+    assert mesh.colours is not None
+    rows = np.zeros(len(mesh.vertices), [("at", "<f8", 3), ("colour", "u1", 3)])
+    rows["at"], rows["colour"] = mesh.vertices, mesh.colours
+    corners = np.zeros(len(mesh.faces), [("count", "u1"), ("ids", "<i4", 3)])
+    corners["count"], corners["ids"] = 3, mesh.faces
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+    lines += [f"property double {axis}" for axis in "xyz"]
+    lines += [f"property uchar {colour}" for colour in ("red", "green", "blue")]
+    lines += [f"element face {len(corners)}", "property list uchar int vertex_indices", "end_header", ""]
+    return "\n".join(lines).encode() + rows.tobytes() + corners.tobytes()
+
+
+def _ply_points(path: Path, tables: Mapping[str, Columns]) -> Float[ndarray, "V 3"]:
+    columns = tables.get("vertex")
+    if columns is None:
+        return np.zeros((0, 3))
+    if not all(axis in columns for axis in "xyz"):
+        raise InputError(path, "vertices", "no x, y and z", "three coordinates for each vertex")
+    return np.stack([columns[axis][1] for axis in "xyz"], axis=1).astype(float)
+
+
+def _read_ply_tables(path: Path, content: bytes) -> dict[str, Columns]:
+    """Read the tables of a file by name. Raises ``InputError``."""
     content = files.strip_byte_order_mark(content)
     order, elements, start = _parse_ply_header(path, content)
     try:
         body = _TextBody(content[start:]) if order == "ascii" else _BinaryBody(content, start, PLY_BYTE_ORDERS[order])
     except (ValueError, DeprecationWarning) as error:
         raise InputError(path, "mesh", "words where numbers should be", EXPECTED_PLY) from error
-    points, polygons = np.zeros((0, 3)), None
+    tables = dict[str, Columns]()
     for element in elements:
         key = {"vertex": "vertices", "face": "faces"}.get(element.name, "mesh")
         try:
@@ -75,22 +133,8 @@ def parse_ply(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
             rows = f"more than {MAX_RAGGED_ROWS} rows of {files.shorten_value(element.name)}"
             got = f"{rows} with lists of several lengths"
             raise InputError(path, key, got, "triangles: triangulate the mesh where it was made")
-        if element.name == "vertex":
-            if not all(axis in columns for axis in "xyz"):
-                raise InputError(path, "vertices", "no x, y and z", "three coordinates for each vertex")
-            points = np.stack([columns[axis][1] for axis in "xyz"], axis=1).astype(float)
-        elif element.name == "face":
-            polygons = next((columns[name] for name in VERTEX_INDEX_PROPERTIES if name in columns), None)
-    if polygons is None or not len(polygons[0]):
-        raise InputError(path, "faces", "no faces", "a mesh with faces")
-    counts, corners = polygons
-    few = np.flatnonzero(counts < 3)
-    if few.size:
-        raise InputError(path, "faces", f"face {few[0]} with {counts[few[0]]} corners", "three or more")
-    if len(corners) - 2 * len(counts) > MAX_OBJ_ELEMENTS:
-        raise InputError(path, "faces", f"more than {MAX_OBJ_ELEMENTS} triangles", f"at most {MAX_OBJ_ELEMENTS}")
-    with np.errstate(invalid="ignore"):
-        return points, triangulate_polygons(path, points, counts, corners.astype(np.int64))
+        tables[element.name] = columns
+    return tables
 
 
 def _parse_ply_header(path: Path, content: bytes) -> tuple[str, list[PlyElement], int]:

@@ -1,0 +1,90 @@
+"""Colours of a mesh, at its vertices: the vertices' own (.ply), or those of the texture that faces name (.obj, .mtl).
+
+Scans are dense, so that colours of vertices tell as much as a picture does at the size of an object in a video, and
+every step that merges, cuts, decimates or deforms a mesh keeps them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.geometry.mesh_files.ply import parse_ply_colours
+from getagrip.io import files
+
+MAX_TEXTURED_BYTES, MAX_TEXTURE_SIDE_PX = 64 * 2**20, 8192
+"""Limits of a textured .obj file and its picture, and of the picture's sides."""
+
+
+class ColouredPoints(NamedTuple):
+    """Points of a mesh, in its file's unit, and their red, green and blue, 0 to 255."""
+
+    points: Float[ndarray, "n 3"]
+    colours: UInt8[ndarray, "n 3"]
+
+
+def parse_colours(path: Path) -> ColouredPoints | None:
+    """Parse the colours that a mesh file has at its vertices; None without any. Raises ``InputError``."""
+    if path.suffix.lower() != ".ply":
+        return None
+    found = parse_ply_colours(path, files.strip_byte_order_mark(files.read_bytes(path, MAX_TEXTURED_BYTES * 2)))
+    return None if found is None or not np.isfinite(found[0]).all() or not len(found[0]) else ColouredPoints(*found)
+
+
+def names_texture(path: Path) -> bool:
+    """Return whether a file is an .obj file that names a file of materials. Raises ``InputError``."""
+    if path.suffix.lower() != ".obj":
+        return False
+    return b"\nmtllib " in b"\n" + files.read_bytes(path, MAX_TEXTURED_BYTES * 2)
+
+
+def texture_colours(path: Path) -> ColouredPoints:
+    """Read the texture's colour at each corner of an .obj file's faces.
+
+    Raises ``InputError`` for a file that does not read, or without a texture beside it.
+    """
+    from getagrip.io.images import decode_image
+
+    lines = files.read_text(path, MAX_TEXTURED_BYTES).splitlines()
+    placed, uv = _texture_coordinates(path, lines)
+    material = _named_file(path, lines, "mtllib")
+    texture = _named_file(material, files.read_text(material, files.MAX_JSON_BYTES).splitlines(), "map_Kd")
+    image = decode_image(texture, "", files.read_bytes(texture, MAX_TEXTURED_BYTES), MAX_TEXTURE_SIDE_PX)
+    height, width = image.shape[:2]
+    column, row = (np.array([[0.0, 1.0]]) + np.array([[1.0, -1.0]]) * (uv % 1.0)).T
+    at = (
+        np.clip(row * height, 0, height - 1).astype(int),
+        np.clip(column * width, 0, width - 1).astype(int),
+    )
+    return ColouredPoints(placed, image[at])
+
+
+def _texture_coordinates(path: Path, lines: Sequence[str]) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 2"]]:
+    """Return vertices that faces name with a texture coordinate, and these coordinates."""
+    try:
+        vertices = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=float)
+        points = np.array([line.split()[1:3] for line in lines if line.startswith("vt ")], dtype=float)
+        corners = {word for line in lines if line.startswith("f ") for word in line.split()[1:]}
+        pairs = np.array([word.split("/")[:2] for word in sorted(corners)], dtype=int) - 1
+        if pairs.min() < 0 or not (np.isfinite(vertices).all() and np.isfinite(points).all()):
+            raise ValueError
+        return vertices[pairs[:, 0]], points[pairs[:, 1]]
+    except (ValueError, IndexError) as error:
+        raise InputError(
+            path, "f", "faces without texture coordinates", "f v/vt ... in every face, counted from 1"
+        ) from error
+
+
+def _named_file(path: Path, lines: Sequence[str], key: str) -> Path:
+    """Return the file beside ``path`` that a line with a key names. Raises ``InputError``."""
+    name = next((line.split(maxsplit=1)[1].strip() for line in lines if line.strip().startswith(f"{key} ")), "")
+    name = name.removeprefix("./")  # as exporters write it
+    if not files.is_portable_name(name):
+        raise InputError(path, key, files.shorten_value(name), "the name of a file in the same folder")
+    return files.inside(path.parent, name, key, "a file in the same folder", path)
