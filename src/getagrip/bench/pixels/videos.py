@@ -203,7 +203,7 @@ def _looks_right(found: Json) -> bool:
     return bool(one["rotation_deg"] < MAX_ROTATION_DEG and one["across_mm"] < MAX_SHARE_ACROSS * diameter)
 
 
-def _held(found: Json) -> bool | None:
+def _interval_holds(found: Json) -> bool | None:
     """Return whether the interval of a result's distance holds the true one; None where it states none."""
     interval = found.get("said", {}).get("distance_interval_mm")
     return None if interval is None else bool(interval[0] <= found["distance_mm"] <= interval[1])
@@ -248,5 +248,5 @@ def _oracle_row(split: str, scores: Sequence[VideoScores], name: str) -> list[st
         _median([each["across_mm"] for each in made], ".1f"),
         _median([result.get("mask_iou") for result in results], ".2f"),
         _mean([_looks_right(result) for result in results]),
-        _mean([_held(result) for result in results]),
+        _mean([_interval_holds(result) for result in results]),
     ]
