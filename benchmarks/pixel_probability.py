@@ -168,14 +168,19 @@ def main(videos: Path, real: Path) -> None:
         fit, least, p = calibrated(train, where, date_and_commit())
         fits.append(fit)
         keeping |= {(kind, where): one for kind, one in least.items()}
-        for label, part in (("train", rendered), (REAL, recorded[: len(train) - len(rendered)])):
-            some = np.array([row["part"] == part[0]["part"] for row in train]) if part else np.zeros(len(train), bool)
-            table += lines(f"{label}, in the {where}", Results(part, where), p[some], least)
+        for part in dict.fromkeys(row["part"] for row in train):
+            some = np.array([row["part"] == part for row in train])
+            of_part = Results([row for row in train if row["part"] == part], where)
+            table += lines(f"{part}, in the {where}", of_part, p[some], least)
         if test:
             other = Results(test, where)
             table += lines(f"validation, in the {where}", other, other.probability({"estimated": fit}), least)
     write(CALIBRATION_FILE, keeping, lifted=stored(fits))
+    camera = Results(rendered + test, "camera")
+    refused = replace(camera, rows=[row for row in camera.rows if row["serious"]])
     notes = (
+        f"of rendered videos, {refused.right.sum()} of {camera.right.sum()} results that are right in the camera have "
+        f"a serious finding, and {(~refused.right).sum()} of {(~camera.right).sum()} wrong ones",
         f"{Results(rendered).clips} training and {Results(test).clips} validation videos; a serious finding leaves a "
         "result without a probability",
         "training and real images: by fits without the object; validation: by the fit of all training, which lacks "
