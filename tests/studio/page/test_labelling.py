@@ -27,6 +27,7 @@ from helpers.annotation import (
     Served,
     click,
     click_joints,
+    close,
     drag,
     draw,
     draw_disc,
@@ -43,6 +44,24 @@ from helpers.annotation import (
 from helpers.labelled_scene import circle, joints, middle
 
 pytestmark = IN_BROWSER
+
+
+def write_empty_report(words: Sequence[str]) -> str:
+    """What the last of the commands writes, without a fit."""
+    if words[0] == "report":
+        folder = Path(words[1])
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "result.json").touch()
+        write_image(folder / "report.png", np.zeros((40, 200, 3), np.uint8))
+        (folder / "report.html").write_text("<p>the report of a plate</p>")
+    return f"{words[0]}: done"
+
+
+def label_frame(served: Served) -> None:
+    """All joints of the first frame."""
+    about = {"grasp": MARK, "task": "scene", "annotator": "ann", "tab": "a-tab-of-old"}
+    clicked = {str(n): point for n, point in enumerate(joints(FIRST_FRAME))}
+    served.project.label(about | {"change": "all-joints", "frame": FIRST_FRAME, "set": {"joints": clicked}})
 
 
 def test_two_tabs_that_label_lose_nothing(context: Any, served: Served) -> None:
@@ -109,7 +128,7 @@ def test_from_clicks_to_files(context: Any, served: Served, tmp_path: Path) -> N
     expect(page.locator("#layer path.draft")).to_have_count(0)
     page.keyboard.press("v")
     page.reload()
-    shows(page, FIRST_FRAME)  # what was filled in is still there
+    shows(page, BETWEEN)  # where one was; what was filled in is still there
     expect(page.locator("#fill-state")).to_have_text(f"All {LAST_FRAME - FIRST_FRAME + 1} frames filled in.")
     goto(page, BETWEEN)
     page.keyboard.press("o")
@@ -138,18 +157,10 @@ def test_it_ends_in_a_reconstruction(
     def ran(words: Sequence[str], job: BackgroundJob) -> str:
         if words[0] == "clip" and main([*words]):
             raise GetagripError(f"{words[words.index('--mesh') + 1]} is refused")
-        if words[0] == "report":
-            folder = Path(words[1])
-            folder.mkdir(parents=True)
-            (folder / "result.json").touch()
-            write_image(folder / "report.png", np.zeros((40, 200, 3), np.uint8))
-            (folder / "report.html").write_text("<p>the report of a plate</p>")
-        return f"{words[0]}: done"
+        return write_empty_report(words)
 
     monkeypatch.setattr(jobs, "run_command", ran)
-    about = {"grasp": MARK, "task": "scene", "annotator": "ann", "tab": "a-tab-of-old"}
-    clicked = {str(n): point for n, point in enumerate(joints(FIRST_FRAME))}
-    served.project.label(about | {"change": "all-joints", "frame": FIRST_FRAME, "set": {"joints": clicked}})
+    label_frame(served)
     page = opened(context, served)
     expect(page.locator("#reconstruct")).to_be_disabled()
     draw_disc(page, FIRST_FRAME)
@@ -167,6 +178,57 @@ def test_it_ends_in_a_reconstruction(
     with context.expect_page() as opens:
         page.click("#report-page")
     expect(opens.value.locator("body")).to_contain_text("the report of a plate")
+
+
+def test_nothing_is_forgotten(context: Any, browser: Any, served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mesh, size, frame, tool and result are as they were after a reload, a restart, and in another browser."""
+    monkeypatch.setattr(jobs, "run_command", lambda words, job: write_empty_report(words))
+    label_frame(served)
+    page = opened(context, served)
+    draw_disc(page, FIRST_FRAME)
+    page.fill("#mesh", "plate")
+    page.fill("#size-mm", "180")
+    page.click("#reconstruct")
+    expect(page.locator("#outcome")).to_have_text("clip: done\nreconstruct: done", timeout=30_000)
+    page.keyboard.press("i")
+    goto(page, BETWEEN)
+    page.wait_for_timeout(800)
+
+    def is_as_it_was(page: Any) -> None:
+        shows(page, BETWEEN)
+        assert page.input_value("#mesh") == "plate"
+        assert page.input_value("#size-mm") == "180"
+        expect(page.locator("#tools [data-tool=front]")).to_have_attribute("aria-checked", "true")
+        expect(page.locator("#outcome")).to_have_text("clip: done\nreconstruct: done")
+        expect(page.locator("#outdated")).to_be_hidden()
+
+    page.reload()
+    is_as_it_was(page)
+    served.stop()
+    expect(page.locator("#saved")).to_contain_text("the server is not reached")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("b")
+    page.wait_for_timeout(300)
+    expect(page.locator("#problem")).to_be_hidden()  # it is said once
+    served.start()
+    saved(page)
+    shows(page, BETWEEN + 1)
+    expect(page.locator("#fill-state")).to_contain_text("frames filled in", timeout=30_000)
+    goto(page, BETWEEN)
+    page.wait_for_timeout(800)
+    page.reload()
+    is_as_it_was(page)
+    other = browser.new_context()
+    another = other.new_page()
+    another.goto(served.server.url)
+    another.fill("#name-field", "ann")
+    another.keyboard.press("Enter")
+    is_as_it_was(another)
+    close(other)
+    page.keyboard.press("o")
+    goto(page, FIRST_FRAME)
+    page.click("#outline-list button")
+    expect(page.locator("#outdated")).to_be_visible()
 
 
 def test_the_next_step_is_shown_and_the_grasp_can_be_left(context: Any, served: Served) -> None:

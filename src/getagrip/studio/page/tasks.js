@@ -3,8 +3,8 @@
 import { $, ask, element, on, pick, player, problem, saving, state, emit } from "./app.js";
 
 export async function overview() {
-  const { project, tasks, categories, reasons } = await ask("/api/tasks", { annotator: state.annotator });
-  Object.assign(state, { tasks, categories, reasons });
+  const { project, tasks, categories, reasons, last } = await ask("/api/tasks", { annotator: state.annotator });
+  Object.assign(state, { tasks, categories, reasons, last });
   saving.project = project;
   drawTasks();
 }
@@ -32,7 +32,7 @@ export async function openTask(task) {
   } catch (error) {
     if (state.task !== task) return;
     $("where").textContent = task.key;
-    problem(error.message);
+    problem(error);
   }
 }
 
