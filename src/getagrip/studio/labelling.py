@@ -28,7 +28,7 @@ from getagrip.studio.detect_grasps import boxes_of_polygons
 from getagrip.studio.hands.detect_hands import DETECTED_HANDS_FOLDER, DRAFTS_FOLDER, HandDetectionFiles
 from getagrip.studio.jobs import BackgroundJob, BackgroundQueue, Work
 from getagrip.studio.masks.propagate_clip import keyframe_spans
-from getagrip.studio.next_step import discount_confidence, lost_frames, next_step, suggest_frame
+from getagrip.studio.next_step import describe_result, discount_confidence, lost_frames, next_step, suggest_frame
 from getagrip.studio.store import grasp_settings, history
 from getagrip.studio.store.export_clip import footage_checksum
 from getagrip.studio.store.history import RefusedError
@@ -73,6 +73,7 @@ class Labelling:
         self.stated_lens = lens
         self._found: dict[Path, HandDetectionFiles] = {}
         self._iou: dict[Path, tuple[int, dict[str, float]]] = {}  # time of a result, its IOU by the frames' names
+        self._verdicts: dict[Path, tuple[int, dict[str, object]]] = {}  # time of a result, and what is said of it
         self._reports: set[str] = set()  # checksums of report files written by this process
         self._reporting = Lock()
         self.background = BackgroundQueue()
@@ -320,8 +321,10 @@ class Labelling:
         record = jobs.result_folder(self.out, grasp.name) / "result.json"
         if not record.is_file():
             return None
-        said = "" if outcome is None else outcome["said"]
-        return {"made": record.stat().st_mtime_ns // 1000, "current": solved, "said": said}
+        made, said = record.stat().st_mtime_ns // 1000, "" if outcome is None else outcome["said"]
+        if (known := self._verdicts.get(record)) is None or known[0] != made:
+            known = self._verdicts[record] = made, describe_result(record.parent)
+        return {"made": made, "current": solved, "said": said, **known[1]}
 
     def _segments(self, grasp: Grasp) -> Path | None:
         """Return the segment file of a whole interaction; None for a single grasp."""

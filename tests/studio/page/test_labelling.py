@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,8 @@ from getagrip.cli import main
 from getagrip.clip import read_clip
 from getagrip.errors import GetagripError
 from getagrip.io.images import write_image
+from getagrip.result import write_result
+from getagrip.result.findings import Finding, Probability
 from getagrip.studio import jobs
 from getagrip.studio.jobs import BackgroundJob
 from getagrip.studio.store.history import Change
@@ -41,7 +44,9 @@ from helpers.annotation import (
     shows,
     until,
 )
+from helpers.clips import small_clip
 from helpers.labelled_scene import circle, joints, middle
+from helpers.results import true_result
 
 pytestmark = IN_BROWSER
 
@@ -229,6 +234,39 @@ def test_nothing_is_forgotten(context: Any, browser: Any, served: Served, monkey
     goto(page, FIRST_FRAME)
     page.click("#outline-list button")
     expect(page.locator("#outdated")).to_be_visible()
+
+
+def test_one_verdict_says_what_the_result_is(
+    context: Any, served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Coloured, with its probability; the serious finding first; what the commands said is folded."""
+    serious, note = (Finding("hand-size", worse, 1.0, 0.5, f"it is {worse}") for worse in (True, False))
+    results = iter([
+        {"findings": (note, serious)},
+        {"findings": (note,), "probability_right": Probability(0.93, "within a tenth")},
+    ])  # fmt: skip
+
+    def ran(words: Sequence[str], job: BackgroundJob) -> str:
+        if words[0] == "report":
+            shutil.rmtree(words[1], ignore_errors=True)
+            write_result(replace(true_result(small_clip()[0], None), **next(results)), Path(words[1]), "", {}, tmp_path)
+        return write_empty_report(words)
+
+    monkeypatch.setattr(jobs, "run_command", ran)
+    label_frame(served)
+    page = opened(context, served)
+    expect(page.locator("#verdict")).to_be_hidden()
+    draw_disc(page, FIRST_FRAME)
+    page.fill("#mesh", "plate")
+    page.click("#reconstruct")
+    expect(page.locator("#verdict-word")).to_have_text("Looks wrong", timeout=30_000)
+    expect(page.locator("#findings summary")).to_have_text("2 findings, 1 serious")
+    expect(page.locator("#findings li")).to_have_text(["it is True", "it is False"])
+    expect(page.locator("#outcome")).to_be_hidden()
+    page.click("#reconstruct")
+    expect(page.locator("#verdict-word")).to_have_text("Looks right", timeout=30_000)
+    expect(page.locator("#verdict-probability")).to_have_text("right with a probability of 93 %")
+    expect(page.locator("#findings summary")).to_have_text("1 finding")
 
 
 def test_the_next_step_is_shown_and_the_grasp_can_be_left(context: Any, served: Served) -> None:

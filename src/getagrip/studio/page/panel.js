@@ -117,10 +117,28 @@ function drawWork() {
   const picture = result && `/report.png?${asked}&at=${result.made}`;
   $("outcome-box").hidden = !result;
   if (result && $("report").getAttribute("src") !== picture) $("report").src = picture;
-  $("outdated").hidden = !result || result.current;
+  drawVerdict(result, `/report.html?${asked}`);
   $("outcome").textContent = result?.said ?? "";
   $("report-page").href = `/report.html?${asked}`;
   $("labels-json").href = `/labels.json?${new URLSearchParams(state.labels.about)}`;
+}
+
+const VERDICTS = { right: "Looks right", uncertain: "Uncertain", wrong: "Looks wrong" };
+
+/** The verdict on the result, and why: what was found, the serious first. */
+function drawVerdict(result, page) {
+  $("verdict").hidden = !result;
+  if (!result) return;
+  const { findings } = result, serious = findings.filter((one) => one.serious).length;
+  $("verdict").className = result.current ? result.verdict : "old";
+  $("verdict-word").textContent = VERDICTS[result.verdict];
+  $("verdict-probability").textContent = result.probability && `right with a probability of ${result.probability}`;
+  $("verdict-report").href = page;
+  $("outdated").hidden = result.current;
+  $("findings").hidden = !findings.length;
+  $("findings").firstElementChild.textContent = `${many(findings.length, "finding")}${serious ? `, ${serious} serious` : ""}`;
+  const rows = findings.map(({ message, serious: worse }) => element("li", { textContent: message, className: worse ? "serious" : "" }));
+  $("findings").lastElementChild.replaceChildren(...rows);
 }
 
 export function drawPanel(joint) {
