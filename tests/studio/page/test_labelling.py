@@ -269,6 +269,31 @@ def test_one_verdict_says_what_the_result_is(
     expect(page.locator("#findings summary")).to_have_text("1 finding")
 
 
+def test_the_picture_is_the_page(context: Any, served: Served) -> None:
+    """Most of a laptop's height; keys behind ?; on a phone what stays in sight leaves room for it."""
+    page = opened(context, served)
+    page.set_viewport_size({"width": 1280, "height": 720})
+    until(page, "document.getElementById('screen').getBoundingClientRect().height >= 0.8 * innerHeight")
+    lists = page.locator(".keys[data-in=labels] ul")
+    expect(lists).to_be_hidden()
+    page.keyboard.press("?")
+    expect(lists).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(lists).to_be_hidden()
+    draw_disc(page, FIRST_FRAME)
+    expect(page.locator("#reconstruct")).to_be_in_viewport()
+    page.locator("#labels-json").scroll_into_view_if_needed()
+    expect(page.locator("#reconstruct")).to_be_in_viewport()
+    page.set_viewport_size({"width": 390, "height": 844})
+    for place in ("#labels-json", "#screen"):
+        page.locator(place).scroll_into_view_if_needed()
+        expect(page.locator("#reconstruct")).to_be_in_viewport()
+        heights = "['header', '.bar'].map((name) => document.querySelector(name).offsetHeight)"
+        assert page.evaluate(f"{heights}.reduce((a, b) => a + b) <= innerHeight / 4")
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert page.locator("#screen").bounding_box()["height"] > 844 / 2
+
+
 def test_the_next_step_is_shown_and_the_grasp_can_be_left(context: Any, served: Served) -> None:
     page = opened(context, served)
     expect(page.locator("#label-next")).to_contain_text("click the joints")

@@ -73,6 +73,8 @@ function label() {
   else problem("Mark the start and the end of a grasp first: its frames can be labelled then.");
 }
 
+const keyList = () => document.querySelector(`.keys[data-in=${state.mode}]`);
+
 const COMMON = {
   "ArrowLeft": (event) => move(player.wanted - (event.shiftKey ? 10 : 1)),
   "ArrowRight": (event) => move(player.wanted + (event.shiftKey ? 10 : 1)),
@@ -80,6 +82,7 @@ const COMMON = {
   "n": () => step(1),
   "p": () => step(-1),
   "l": label,
+  "?": () => { keyList().open = !keyList().open; },
   ...VIEW,
 };
 const MODES = { grasps: { ...COMMON, ...grasps.KEYS, ...segments.KEYS }, labels: { ...COMMON, ...labelling.KEYS } };
@@ -106,7 +109,8 @@ document.addEventListener("keydown", (event) => {
   const key = undoes ? "u" : event.key.length === 1 ? event.key.toLowerCase() : event.key;
   if (event.repeat && !key.startsWith("Arrow") && !(state.mode === "labels" && REPEATED.has(key))) return;
   if (event.repeat && player.shown?.index !== player.wanted) return event.preventDefault(); // no faster than frames come
-  if (press(key, event)) event.preventDefault();
+  if (key === "Escape" && keyList().open) keyList().open = false;
+  else if (press(key, event)) event.preventDefault();
 });
 
 for (const button of document.querySelectorAll("[data-key]")) {
