@@ -44,8 +44,8 @@ from getagrip.studio.store.labels import (
     write_label_file,
 )
 from getagrip.studio.store.mark_store import Store
-from getagrip.studio.store.marks import Grasp
-from getagrip.studio.store.tasks import open_footage
+from getagrip.studio.store.marks import Grasp, Mark, name_grasp
+from getagrip.studio.store.tasks import Task, open_footage
 
 Basis = dict[str, list[tuple[int, int, str]]]
 """Inputs of the drafts of "masks" and "hand": first and last frame, and a checksum of the inputs."""
@@ -95,6 +95,14 @@ class Labelling:
         """Return the object's mesh as it was stated for a grasp; None where it was not."""
         known = self.store.settings.of(grasp.mark.mark)
         return jobs.RequestedMesh(known["mesh"], known.get("size_mm")) if known.get("mesh") else None
+
+    def progress(self, task: Task, mark: Mark) -> str:
+        """Return how far a grasp is: "not begun", "drawn", or the verdict on a result made after the last change."""
+        times = self.store.keyframes.times(mark.mark, mark.annotator)
+        record = jobs.result_folder(self.out, name_grasp(task, mark)) / "result.json"
+        if record.is_file() and times and record.stat().st_mtime >= times[-1].timestamp():
+            return str(self._describe(record)["verdict"])
+        return "drawn" if times and self.store.keyframes.standing(mark.mark, mark.annotator) else "not begun"
 
     def state_shape(self, grasp: Grasp, shape: jobs.RequestedMesh) -> None:
         """Store the object's mesh for a grasp."""
@@ -321,10 +329,15 @@ class Labelling:
         record = jobs.result_folder(self.out, grasp.name) / "result.json"
         if not record.is_file():
             return None
-        made, said = record.stat().st_mtime_ns // 1000, "" if outcome is None else outcome["said"]
+        said = "" if outcome is None else outcome["said"]
+        return {"current": solved, "said": said, **self._describe(record)}
+
+    def _describe(self, record: Path) -> dict[str, object]:
+        """Return when a result was ``made`` [us], and what is said of it; read again only where it changed."""
+        made = record.stat().st_mtime_ns // 1000
         if (known := self._verdicts.get(record)) is None or known[0] != made:
             known = self._verdicts[record] = made, describe_result(record.parent)
-        return {"made": made, "current": solved, "said": said, **known[1]}
+        return {"made": made, **known[1]}
 
     def _segments(self, grasp: Grasp) -> Path | None:
         """Return the segment file of a whole interaction; None for a single grasp."""

@@ -31,6 +31,8 @@ from getagrip.studio.store.marks import (
 )
 from getagrip.studio.store.tasks import Task, open_footage
 
+PROGRESS = ("not begun", "drawn", "wrong", "uncertain", "right")
+"""States of a grasp whose pose is wanted, the least far first; the last three are verdicts on its result."""
 MAX_OPEN_FOOTAGE = 4
 """Maximum number of videos that are open at once."""
 
@@ -57,12 +59,16 @@ class Project:
         self.store.close()
 
     def overview(self, annotator: object) -> dict[str, object]:
-        """List all tasks with an annotator's state of each: "", started, marked, discarded. Raises ``RefusedError``."""
+        """List all tasks with an annotator's state of each: "", started, marked, discarded. Raises ``RefusedError``.
+
+        Where the mesh of a grasp is stated, a pose is wanted, and the state is that of the grasp that is least far.
+        """
         own: dict[str, list[Mark]] = {}
         for mark in self.store.marks.standing(annotator=history.check_annotator(annotator)):
             own.setdefault(mark.task, []).append(mark)
         tasks = [
-            asdict(task) | {"path": None, "found": task.path is not None, "state": _task_state(own.get(task.key, []))}
+            asdict(task)
+            | {"path": None, "found": task.path is not None, "state": self._state(task, own.get(task.key, []))}
             for task in self.tasks.values()
         ]
         last = self.store.settings.newest(history.check_annotator(annotator))
@@ -288,6 +294,13 @@ class Project:
         if not isinstance(key, str) or key not in self.tasks:
             raise RefusedError(f"task must be one of {len(self.tasks)} tasks (got {files.shorten_value(key)})")
         return self.tasks[key]
+
+    def _state(self, task: Task, found: list[Mark]) -> str:
+        wanted = [
+            mark for mark in found if mark.interval and mark.side and self.store.settings.of(mark.mark).get("mesh")
+        ]
+        each = [self.labelling.progress(task, mark) for mark in wanted]
+        return min(each, key=PROGRESS.index) if each else _task_state(found)
 
     def _present(self) -> list[Task]:
         """Return the tasks with footage."""

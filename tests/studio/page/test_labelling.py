@@ -294,6 +294,25 @@ def test_the_picture_is_the_page(context: Any, served: Served) -> None:
     assert page.locator("#screen").bounding_box()["height"] > 844 / 2
 
 
+def test_a_clip_is_done_when_it_has_a_result(context: Any, served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not before a stroke, though the grasp is marked, as ``label`` does."""
+    monkeypatch.setattr(jobs, "run_command", lambda words, job: write_empty_report(words))
+    about = {"task": "scene", "annotator": "ann", "grasp": MARK}
+    served.project.set(about | {"set": {"mesh": "plate"}})
+    page = opened(context, served)
+    listed = page.locator("#task-list li").first
+    expect(page.locator("#progress")).to_have_text("0 of 2 done")
+    expect(listed).to_contain_text("not begun")
+    label_frame(served)
+    draw_disc(page, FIRST_FRAME)
+    expect(listed).to_contain_text("drawn, no result")
+    page.click("#reconstruct")
+    expect(page.locator("#progress")).to_have_text("1 of 2 done", timeout=30_000)
+    expect(listed).to_contain_text("uncertain")  # what was written does not read
+    page.reload()
+    expect(page.locator("#progress")).to_have_text("1 of 2 done")
+
+
 def test_the_next_step_is_shown_and_the_grasp_can_be_left(context: Any, served: Served) -> None:
     page = opened(context, served)
     expect(page.locator("#label-next")).to_contain_text("click the joints")
