@@ -48,15 +48,15 @@ def image(n: int) -> np.ndarray:
 
 @pytest.mark.parametrize("there", [None, turned], ids=["lost", "turned"])
 def test_what_was_lost_or_turned_is_seen_again(there: object) -> None:
-    uncertain = range(10, 15)
-    seen = {n: hand(n) for n in range(COUNT) if n not in uncertain}
+    doubtful = range(10, 15)
+    seen = {n: hand(n) for n in range(COUNT) if n not in doubtful}
     if callable(there):
-        seen |= {n: there(n) for n in uncertain}
+        seen |= {n: there(n) for n in doubtful}
     found = redetect_hand(image, seen, COUNT, TurnedNets(), {})
     assert sorted(found) == list(range(COUNT))
     for n, each in found.items():
         np.testing.assert_allclose(each.points, hand(n).points, atol=1e-6)
-        assert each.confidence == pytest.approx(0.7 if n in uncertain else 0.95)
+        assert each.confidence == pytest.approx(0.7 if n in doubtful else 0.95)
 
 
 def broad(n: int, width: float = 4.0) -> Sighting:
