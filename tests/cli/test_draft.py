@@ -68,6 +68,14 @@ def test_hands_masks_and_marks_are_there(scene: Path, run: Run) -> None:
     (mark,) = store.marks.standing()
     store.close()
     assert (mark.interval, mark.side) == ((0, 7), "left")
+    made = {path: path.stat().st_mtime_ns for path in found.path.parent.rglob("*")}
+    status, out, _ = run(*DRAFT, "--size-mm", "95")
+    assert status == 0
+    assert "found before by the same options" in out
+    assert made == {path: path.stat().st_mtime_ns for path in found.path.parent.rglob("*")}
+    store = Store(scene.parent / "out" / DATABASE)
+    assert {"mesh": "cup", "size_mm": 95.0}.items() <= store.settings.of(mark.mark).items()
+    store.close()
     assert run(*DRAFT, "--interval", "1", "4")[0] == 0  # again, over it
     assert len(HandFile.of(found.path).numbers or ()) == 4
 

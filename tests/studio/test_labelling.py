@@ -13,15 +13,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from getagrip.cli.annotate import DATABASE
 from getagrip.clip import read_clip, read_masks
+from getagrip.geometry.lens import Lens
+from getagrip.io import files
 from getagrip.io.images import write_image
 from getagrip.readers.footage import VideoFootage
 from getagrip.studio import jobs
 from getagrip.studio.masks import propagate_clip
 from getagrip.studio.masks.polygon_drafts import trace_polygons
+from getagrip.studio.project import Project
 from getagrip.studio.store.export_all import write_labelled_grasps
 from getagrip.studio.store.history import RefusedError
-from helpers.annotation import FIRST, LAST, Clicking, disc, filled, iou
+from getagrip.studio.store.mark_store import Store
+from getagrip.studio.store.tasks import Task
+from helpers.annotation import FIRST, LAST, VIDEO, Clicking, disc, filled, iou
 from helpers.clips import box
 from helpers.environment import Run
 from helpers.labelled_scene import HEIGHT, WIDTH, circle, joints
@@ -68,7 +74,12 @@ def test_a_stroke_is_asked_for_where_the_result_of_these_masks_does_not_meet_the
     clicking: Clicking, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     less = {f"{n + 1:06d}": 0.7 if 5 <= n <= 7 else 1.0 for n in range(FIRST, LAST + 1)}
-    monkeypatch.setattr(jobs, "reconstruct_grasp_files", lambda *_: "done")
+
+    def solve(new_clip: object, shape: object, out: Path, name: str, *_: object) -> str:
+        files.write_json(jobs.result_folder(out, name) / "result.json", {})
+        return "done"
+
+    monkeypatch.setattr(jobs, "reconstruct_grasp_files", solve)
     monkeypatch.setattr(jobs, "iou_by_frame", lambda _: less)
     clicking.label(FIRST)
     clicking.label(LAST)
@@ -79,6 +90,58 @@ def test_a_stroke_is_asked_for_where_the_result_of_these_masks_does_not_meet_the
     clicking.click(6, outlines=disc(6))
     assert clicking.work("propagate")["state"] == "done"
     assert clicking.state()["wanted"] is None  # nothing is known of these masks yet
+
+
+def test_files_of_the_same_labels_are_written_once(clicking: Clicking, tmp_path: Path) -> None:
+    """Not again for another mesh or after a restart; again for other labels, and where a mask is missing."""
+    clicking.label(FIRST)
+    assert clicking.work("files")["state"] == "done"
+    (hand,) = tmp_path.glob("*/hand.npz")
+
+    def inode() -> int:
+        assert clicking.work("files")["state"] == "done"
+        return hand.stat().st_ino
+
+    first = hand.stat().st_ino
+    clicking.project.set(clicking.about | {"set": {"mesh": "plate", "size_mm": 180}})
+    assert inode() == first
+    clicking.click(LAST, outlines=disc(LAST))
+    second = inode()
+    assert second != first
+    assert inode() == second
+    next(hand.parent.glob("masks/*.png")).unlink()
+    assert inode() != second
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [None, {}, {"mesh": 3}, {"size_mm": -1}, {"size_mm": True}, {"frame": -1}, {"tool": "axe"}, {"lens": {}}, {"x": 1}],
+)
+def test_settings_that_are_wrong_change_nothing(clicking: Clicking, wrong: Any) -> None:
+    clicking.project.set(clicking.about | {"set": {"mesh": "mug", "size_mm": 95, "frame": 3, "tool": "on"}})
+    known = clicking.state()["settings"]
+    with pytest.raises(RefusedError):
+        clicking.project.set(clicking.about | {"set": wrong or None})
+    assert clicking.state()["settings"] == known == {"mesh": "mug", "size_mm": 95, "frame": 3, "tool": "on"}
+
+
+def test_damaged_settings_are_reported(clicking: Clicking, refused: Any) -> None:
+    grasp = clicking.about["grasp"]
+    for value in ("{", '{"a": 1}', "[" * 100_000):
+        with clicking.project.store.database.transaction() as db:
+            db.execute("INSERT INTO settings (grasp, name, value) VALUES (?, 'mesh', ?)", (grasp, value))
+        refused(lambda: clicking.project.store.settings.of(grasp), "damaged")
+
+
+def test_the_camera_of_a_grasp_is_kept(clicking: Clicking, scene_video: Path, tmp_path: Path) -> None:
+    """Without one a later call takes that of the earlier, so that no hand is fitted again."""
+    clicking.project.labelling.stated_lens = Lens(focal=321.0)
+    clicking.label(FIRST)
+    assert clicking.work("propagate")["state"] == "done"
+    basis = clicking.state()["basis"]
+    again = Project([Task(VIDEO, VIDEO, scene_video)], Store(tmp_path / DATABASE))
+    assert again.labels(clicking.about)["basis"] == basis
+    again.close()
 
 
 def test_too_few_labels_are_reported(clicking: Clicking) -> None:

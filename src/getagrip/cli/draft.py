@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -157,8 +158,6 @@ class Draft(Command):
         """
         from getagrip.cli import calls
         from getagrip.cli.annotate import DATABASE, serve
-        from getagrip.io.terminal import progress_bar
-        from getagrip.studio.hands.detect_hands import write_detected_hands
         from getagrip.studio.project import Project
         from getagrip.studio.store.export_all import reconstruct_labelled_grasps
         from getagrip.studio.store.labels import Labels as Drawn
@@ -174,14 +173,7 @@ class Draft(Command):
             footage = project.footage(task)
             stretch = self._stretch(footage)
             project.labelling.depth = self._depth(stretch)
-            found = self._find(stretch)
-            self._say_sources(found)
-            with progress_bar() as bar:
-                job = bar.add_task("the hand's masks", total=len(found.landmarks))
-                made = write_detected_hands(self.folder, found, footage.image, lambda n: bar.update(job, completed=n))
-            between = len(found.frames) - len(found.landmarks)
-            guessed = f", interpolated in {between} of them" if between > 0 else ""
-            print(f"{made}: the {found.side} hand in {len(found.frames)} of {len(stretch.names)} frames{guessed}")
+            found = self._write_hands(stretch, self._inputs(stretch, video))
             drawn = self._drawn(stretch, found)
             whole = (found.frames[0], found.frames[-1])
             labels = Drawn(
@@ -193,7 +185,8 @@ class Draft(Command):
                 labels, extents = grasps.labels, grasps.extents or [whole]
             labelled = []
             for extent in extents:
-                project.mark_grasp(task, DRAFT_ANNOTATOR, extent, found.side)
+                marked = project.mark_grasp(task, DRAFT_ANNOTATOR, extent, found.side)
+                project.labelling.state_shape(marked, shape)
                 if frames := _labels_within_extent(labels.frames, extent):
                     own = replace(labels, first=extent[0], last=extent[1], frames=frames)
                     labelled.append(grasp := project.import_labels(own, DRAFT_ANNOTATOR))
@@ -208,11 +201,43 @@ class Draft(Command):
                 print_note("nothing is reconstructed: give --object-box or --masks, or mark the object on the page")
                 return 0
             print("the grasp is marked: mark the object on the page; it is reconstructed there")
-            size = {} if self.size_mm is None else {"size-mm": f"{self.size_mm:g}"}
-            serve(project, self.port, DRAFT_ANNOTATOR, {"mesh": self.object, **size})
+            serve(project, self.port, DRAFT_ANNOTATOR)
             return 0
         finally:
             project.close()
+
+    def _write_hands(self, stretch: VideoInterval, inputs: str) -> DetectedHands:
+        """Find the hands and write them, unless they were found before by the same ``inputs``. Raises as ``run``."""
+        from getagrip.cli.draft_inputs import read_own_hands
+        from getagrip.io.terminal import progress_bar
+        from getagrip.studio.hands.detect_hands import DETECTED_HANDS_FOLDER, write_detected_hands
+
+        made = self.folder / DETECTED_HANDS_FOLDER
+        if (found := read_own_hands(self.folder, inputs, stretch)) is not None:
+            print(f"{made}: the {found.side} hand in {len(found.frames)} frames, found before by the same options")
+            return found
+        found = self._find(stretch)
+        self._say_sources(found)
+        with progress_bar() as bar:
+            job = bar.add_task("the hand's masks", total=len(found.landmarks))
+            update = lambda n: bar.update(job, completed=n)  # noqa: E731
+            write_detected_hands(self.folder, replace(found, inputs=inputs), stretch.footage.image, update)
+        between = len(found.frames) - len(found.landmarks)
+        guessed = f", interpolated in {between} of them" if between > 0 else ""
+        print(f"{made}: the {found.side} hand in {len(found.frames)} of {len(stretch.names)} frames{guessed}")
+        return found
+
+    def _inputs(self, stretch: VideoInterval, video: Path) -> str:
+        """Return a checksum of all that the hands are found by; empty for hands of a file, which are read again."""
+        from getagrip import __version__
+        from getagrip.studio.jobs import estimators_making
+        from getagrip.studio.store.export_clip import footage_checksum
+
+        if self.hands is not None and self.hands not in estimators_making("hands"):
+            return ""
+        options = (self.side, self.object_box, self.hands, stretch.first, stretch.last, stretch.K.tolist())
+        about = (__version__, footage_checksum(video), str(self.models or ""), *options)
+        return sha256(repr(about).encode()).hexdigest()
 
     def _source(self) -> Path:
         """Return the footage; of a single image, a folder with it twice, since a clip has two frames or more."""

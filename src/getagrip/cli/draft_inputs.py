@@ -18,7 +18,7 @@ from getagrip.errors import InputError, MissingOptionError, UsageError, unknown_
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands.model import Side
-from getagrip.io import files
+from getagrip.io import arrays, files
 from getagrip.provenance import Source
 from getagrip.readers.depth_files import DEPTH_FORMATS, open_depth
 from getagrip.readers.footage import Footage
@@ -27,7 +27,12 @@ from getagrip.readers.masks.mask_sources import open_masks
 from getagrip.readers.trackers import TRACKERS, Request, TrackedHands, read_tracked_hands
 from getagrip.readers.trackers.hawor import HaWoR
 from getagrip.studio.hands import HandLandmarks
-from getagrip.studio.hands.detect_hands import DetectedHands
+from getagrip.studio.hands.detect_hands import (
+    DETECTED_HANDS_FOLDER,
+    INPUTS_KEY,
+    DetectedHands,
+    HandDetectionFiles,
+)
 from getagrip.studio.jobs import ESTIMATORS, DepthFiles, check_estimator, estimators_making, run_estimator
 from getagrip.studio.masks.polygon_drafts import trace_polygons
 from getagrip.studio.store.labels import FrameLabels
@@ -158,6 +163,23 @@ def read_found_hands(path: Path, source: str | None, side: Side | None, stretch:
         advice = "getagrip import hands has this option: --out FILE there, --hands FILE here"
         raise UsageError(f"{error} ({advice})") from error
     return to_found_hands(path, hands, which_side, stretch)
+
+
+def read_own_hands(folder: Path, inputs: str, stretch: VideoInterval) -> DetectedHands | None:
+    """Read the hands that an earlier draft has found in ``folder``; None unless by the same ``inputs``."""
+    path = folder / DETECTED_HANDS_FOLDER / "hand.npz"
+    if not inputs or not path.is_file() or path.is_symlink():
+        return None
+    try:
+        if str(arrays.read(path, {INPUTS_KEY}.__contains__).get(INPUTS_KEY, "")) != inputs:
+            return None
+        own = HandFile.of(path)
+        side: Side = "left" if own.side == "left" else "right"
+        places = tuple(f"{n + 1:06d}" for n in range(stretch.first, stretch.last + 1))
+        found = to_found_hands(path, own.at(places, side, None), side, stretch)
+        return found if set(found.frames) <= set(HandDetectionFiles(path.parent).joints) else None
+    except (InputError, UsageError):  # damaged: they are found again
+        return None
 
 
 def read_estimated_hands(

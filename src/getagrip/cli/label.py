@@ -18,7 +18,7 @@ from getagrip.cli.export import Export
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.io.options import Flag, Folder, OptionalFolder
-from getagrip.io.terminal import format_count, print_result
+from getagrip.io.terminal import format_count, print_note, print_result
 
 if TYPE_CHECKING:
     from getagrip.studio.jobs import RequestedMesh
@@ -76,7 +76,6 @@ class Label(Command):
         """Run all steps; return 1 where one video failed, else 0. What fails of one is reported and ends no other."""
         from getagrip.cli.annotate import DATABASE, serve
         from getagrip.io import files
-        from getagrip.studio.jobs import RequestedMesh
         from getagrip.studio.project import Project
         from getagrip.studio.store.mark_store import Store
 
@@ -90,11 +89,10 @@ class Label(Command):
             for task in found:
                 failed += not self._does(task.key, partial(self._mark, project, task))
             if not self.no_page:
-                size = {} if self.size_mm is None else {"size-mm": f"{self.size_mm:g}"}
-                serve(project, self.port, DRAFT_ANNOTATOR, {"mesh": self.object, **size})
+                serve(project, self.port, DRAFT_ANNOTATOR)
             solved, efforts = [], []
             for grasp in project.labelled():
-                shape = RequestedMesh(self.object, self.size_mm)
+                shape = self._shape(project, grasp)
                 if self._does(grasp.name, partial(_reconstruct_grasp, project, grasp, shape)):
                     solved.append(self.out / "results" / grasp.name)
                     efforts.append(_measure_effort(project, grasp))
@@ -167,7 +165,19 @@ class Label(Command):
             return
         hands = HandFile.of(path)
         if hands.numbers and hands.side:
-            project.mark_grasp(task, DRAFT_ANNOTATOR, (min(hands.numbers) - 1, max(hands.numbers) - 1), hands.side)
+            extent = min(hands.numbers) - 1, max(hands.numbers) - 1
+            self._shape(project, project.mark_grasp(task, DRAFT_ANNOTATOR, extent, hands.side))
+
+    def _shape(self, project: Project, grasp: Grasp) -> RequestedMesh:
+        """Return the object's mesh as it was stated on the page, else as stated here, which is stored for the page."""
+        from getagrip.studio.jobs import RequestedMesh
+
+        own, known = RequestedMesh(self.object, self.size_mm), project.labelling.shape(grasp)
+        if known is None:
+            project.labelling.state_shape(grasp, own)
+        elif known != own:
+            print_note(f"{grasp.name}: the mesh is {known}, as in {self.out}; the page changes it")
+        return known or own
 
 
 def _reconstruct_grasp(project: Project, grasp: Grasp, shape: RequestedMesh) -> None:
@@ -176,7 +186,7 @@ def _reconstruct_grasp(project: Project, grasp: Grasp, shape: RequestedMesh) -> 
     from getagrip.io.terminal import progress_bar
     from getagrip.studio.store.export_all import JobOnBar
 
-    if not project.labelling.is_solved(grasp):
+    if not project.labelling.is_solved(grasp, shape):
         with progress_bar() as bar:
             print_result(project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name, calls.run_call)))
 

@@ -4,5 +4,5 @@
 grasp (``labelling``, whose slow work runs in ``jobs``). ``store`` holds marks (where a grasp is) and labels (joints and
 polygons on key frames), with their history, and writes their files. ``masks`` propagates labels from key frames to all
 frames, ``hands`` detects and lifts hands. ``detect_grasps`` finds the grasps in a draft, and ``next_step`` advises on
-what to label next.
+what to label next, and what a result looks like.
 """

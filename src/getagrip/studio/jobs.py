@@ -31,6 +31,7 @@ from getagrip.io import files, processes
 from getagrip.io.files import Json, shorten_value
 from getagrip.io.terminal import print_note
 from getagrip.readers.depth_files import DepthReader, add_depth, check_focal_length
+from getagrip.studio.store.grasp_settings import MAX_MESH_PATH_LENGTH, MAX_OBJECT_SIZE_MM
 from getagrip.studio.store.history import RefusedError
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
 
@@ -287,9 +288,6 @@ def run_estimator(name: str, values: Mapping[str, Sequence[object]], out: Path) 
 CLIPS_FOLDER, RESULTS_FOLDER = "clips", "results"
 """Folders beside the marks."""
 REPORT_FILES = ("report.html", "report.png")
-MAX_MESH_PATH_LENGTH = 1000
-"""Characters of a path."""
-MAX_OBJECT_SIZE_MM = 10_000.0
 SUCCESS_STATUSES = (0, 3)
 """Exit statuses of commands that have made what they were asked for, with something to be known about it or not."""
 CANCEL_POLL_S = 0.3
@@ -304,6 +302,9 @@ class RequestedMesh:
     """A file, or a kind of this package's own meshes."""
     size_mm: float | None
     """Largest side of its bounding box; None where it is to be found."""
+
+    def __str__(self) -> str:
+        return self.mesh if self.size_mm is None else f"{self.mesh} of {self.size_mm:g} mm"
 
 
 @dataclass(frozen=True)

@@ -6,17 +6,17 @@ import json
 import re
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING
 from uuid import uuid4
 
 import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
+from getagrip import __version__
 from getagrip.clip.intrinsics import compute_intrinsics
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
@@ -28,8 +28,8 @@ from getagrip.studio.detect_grasps import boxes_of_polygons
 from getagrip.studio.hands.detect_hands import DETECTED_HANDS_FOLDER, DRAFTS_FOLDER, HandDetectionFiles
 from getagrip.studio.jobs import BackgroundJob, BackgroundQueue, Work
 from getagrip.studio.masks.propagate_clip import keyframe_spans
-from getagrip.studio.next_step import discount_confidence, lost_frames, next_step, suggest_frame
-from getagrip.studio.store import history
+from getagrip.studio.next_step import describe_result, discount_confidence, lost_frames, next_step, suggest_frame
+from getagrip.studio.store import grasp_settings, history
 from getagrip.studio.store.export_clip import footage_checksum
 from getagrip.studio.store.history import RefusedError
 from getagrip.studio.store.labels import (
@@ -44,26 +44,36 @@ from getagrip.studio.store.labels import (
     write_label_file,
 )
 from getagrip.studio.store.mark_store import Store
-from getagrip.studio.store.marks import Grasp
-from getagrip.studio.store.tasks import open_footage
-
-if TYPE_CHECKING:
-    from getagrip.studio.store.export_clip import ClipFiles
+from getagrip.studio.store.marks import Grasp, Mark, name_grasp
+from getagrip.studio.store.tasks import Task, open_footage
 
 Basis = dict[str, list[tuple[int, int, str]]]
 """Inputs of the drafts of "masks" and "hand": first and last frame, and a checksum of the inputs."""
+
+
+@dataclass(frozen=True)
+class _Written:
+    """The files of a clip."""
+
+    of: str
+    """Checksum of what they are made of."""
+    command: str
+    """Command that makes the clip."""
+    confidence: dict[int, float]
+    """Confidence of the mask of each frame."""
 
 
 class Labelling:
     """The key frames of the grasps in a store."""
 
     def __init__(self, store: Store, lens: Lens, out: Path) -> None:
-        """Write the files of grasps into ``out``; without a lens the focal length is assumed."""
+        """Write the files of grasps into ``out``; without a lens a grasp keeps its own, or it is assumed."""
         self.store, self.out = store, out
         self.depth: jobs.DepthFiles | None = None
-        self.lens = lens if lens.is_set else Lens(guess_focal=True)
+        self.stated_lens = lens
         self._found: dict[Path, HandDetectionFiles] = {}
-        self._iou: dict[str, tuple[object, dict[int, float]]] = {}  # inputs of the drafts, IOU of the results
+        self._iou: dict[Path, tuple[int, dict[str, float]]] = {}  # time of a result, its IOU by the frames' names
+        self._verdicts: dict[Path, tuple[int, dict[str, object]]] = {}  # time of a result, and what is said of it
         self._reports: set[str] = set()  # checksums of report files written by this process
         self._reporting = Lock()
         self.background = BackgroundQueue()
@@ -76,16 +86,48 @@ class Labelling:
             return HandDetectionFiles(folder)
         return self._found.setdefault(folder, HandDetectionFiles(folder))
 
+    def lens(self, grasp: Grasp) -> Lens:
+        """Return the camera of a grasp: as given, else that with which it was worked on last, else a guess."""
+        known = self.stated_lens if self.stated_lens.is_set else self.store.settings.lens(grasp.mark.mark)
+        return known or Lens(guess_focal=True)
+
+    def shape(self, grasp: Grasp) -> jobs.RequestedMesh | None:
+        """Return the object's mesh as it was stated for a grasp; None where it was not."""
+        known = self.store.settings.of(grasp.mark.mark)
+        return jobs.RequestedMesh(known["mesh"], known.get("size_mm")) if known.get("mesh") else None
+
+    def progress(self, task: Task, mark: Mark) -> str:
+        """Return how far a grasp is: "not begun", "drawn", or the verdict on a result made after the last change."""
+        times = self.store.keyframes.times(mark.mark, mark.annotator)
+        record = jobs.result_folder(self.out, name_grasp(task, mark)) / "result.json"
+        if record.is_file() and times and record.stat().st_mtime >= times[-1].timestamp():
+            return str(self._describe(record)["verdict"])
+        return "drawn" if times and self.store.keyframes.standing(mark.mark, mark.annotator) else "not begun"
+
+    def state_shape(self, grasp: Grasp, shape: jobs.RequestedMesh) -> None:
+        """Store the object's mesh for a grasp."""
+        self.store.settings.put(grasp.mark.mark, asdict(shape))
+
+    def set(self, grasp: Grasp, settings: object) -> None:
+        """Store some settings of the page. Raises ``RefusedError``."""
+        checked = grasp_settings.check_settings(settings, grasp_settings.PAGE_SETTINGS)
+        self.store.settings.put(grasp.mark.mark, checked)
+
     def state(self, grasp: Grasp) -> dict[str, object]:
-        """Return a grasp's key frames, the inputs of drafts now, the suggested frame, and the progress of its job."""
+        """Return a grasp's key frames and settings, the inputs of drafts now, the suggested frame, and its result.
+
+        The progress of its job is in it, too.
+        """
         newest = self.store.keyframes.newest(grasp.mark.mark, grasp.mark.annotator)  # before the frames, as with marks
-        own = self._own(grasp)
-        job, basis = self.background.job(grasp.mark.mark), self._basis(grasp, own)
+        own, key = self._own(grasp), grasp.mark.mark
+        job, basis = self.background.job(key), self._basis(grasp, own)
         keys, number = ("frame", "joints", "outlines", "hidden"), grasp.footage.number
         keyframes = [{key: getattr(one, key) for key in keys} | {"number": number(one.frame)} for one in own]
         sure = self.store.drafts.confidence(grasp.mark.mark, {word for *_, word in basis["masks"]})
-        drawn, (solved, iou) = self.labels(grasp).drawn, self._iou.get(grasp.mark.mark, (None, {}))
-        met = discount_confidence(sure, iou, drawn) if solved == basis else sure
+        drawn, known, inputs = self.labels(grasp).drawn, self.store.settings.of(key), self._inputs(grasp, basis)
+        outcome = known.get("outcome")
+        solved = outcome is not None and outcome["of"] == inputs
+        met = discount_confidence(sure, self._iou_of_result(grasp), drawn) if solved else sure
         return {
             "grasp": grasp.mark.mark,
             "newest": newest,
@@ -99,6 +141,8 @@ class Labelling:
             "found": bool(self.found(grasp).joints),
             "drafts": self.store.drafts.newest(grasp.mark.mark),
             "job": None if job is None else job.status(),
+            "settings": {name: value for name, value in known.items() if name in grasp_settings.PAGE_SETTINGS},
+            "result": self._result(grasp, outcome, solved),
         }
 
     def change(self, grasp: Grasp, content: Json) -> None:
@@ -143,6 +187,7 @@ class Labelling:
 
     def propagate(self, grasp: Grasp) -> None:
         """Start to update drafts that are out of date. Raises ``RefusedError`` for insufficient labels."""
+        self.store.settings.put_lens(grasp.mark.mark, self.lens(grasp))
         basis, value = self._basis(grasp, self._own(grasp)), self.labels(grasp)
         if not any(basis.values()):
             raise RefusedError("nothing to fill in yet: click joints, or draw a polygon around the object, on a frame")
@@ -158,6 +203,7 @@ class Labelling:
     def reconstruct(self, grasp: Grasp, content: Json) -> None:
         """Start to write the files, make a clip of them and reconstruct it. Raises ``RefusedError``."""
         shape = jobs.parse_requested_mesh(content)
+        self.state_shape(grasp, shape)
         self._check_enough(grasp, self.labels(grasp))
         self._start(grasp, "reconstruct", lambda job: self.solve(grasp, shape, job))
 
@@ -168,30 +214,35 @@ class Labelling:
         """
         from getagrip.studio.store.export_clip import new_clip_call
 
-        value, basis = self.labels(grasp), self._basis(grasp, self._own(grasp))
+        value = self.labels(grasp)
         self._check_enough(grasp, value)
         job.message = "writing the files"
-        confidence = self._make(grasp, value, job).confidence
+        made = self._make(grasp, value, job)
+        confidence = made.confidence
         new_clip = new_clip_call(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
         said = jobs.reconstruct_grasp_files(new_clip, shape, self.out, grasp.name, job, self.depth)
         result, number = jobs.result_folder(self.out, grasp.name), grasp.footage.number
         self._reports |= {*map(_report_checksum, jobs.report_files(result).values())}
-        names = {grasp.footage.name(n): n for n in range(value.first, value.last + 1)}
-        iou = {names[name]: x for name, x in jobs.iou_by_frame(result).items() if name in names}
-        self._iou[grasp.mark.mark] = basis, iou
-        wanted = suggest_frame(discount_confidence(confidence, iou, value.drawn), value.drawn, *grasp.extent)
+        met = discount_confidence(confidence, self._iou_of_result(grasp), value.drawn)
+        wanted = suggest_frame(met, value.drawn, *grasp.extent)
         boxes = boxes_of_polygons({n: one.object or () for n, one in value.frames.items()})
         step = next_step(
             result, grasp.path, self.out, shape,
             None if wanted is None else number(wanted), [*map(number, lost_frames(confidence))],
             (number(value.first), number(value.last)), boxes.get(value.first),
         )  # fmt: skip
-        return "\n".join(filter(None, (said, step)))
+        text = "\n".join(filter(None, (said, step)))
+        self.store.settings.put(grasp.mark.mark, {"outcome": {"of": made.of, **asdict(shape), "said": text}})
+        return text
 
-    def is_solved(self, grasp: Grasp) -> bool:
-        """Return whether a grasp has a result of its current labels."""
+    def is_solved(self, grasp: Grasp, shape: jobs.RequestedMesh) -> bool:
+        """Return whether a grasp has a result of its current labels with a mesh."""
         written = self.out / f"labels-{grasp.name}.json"
         result = jobs.result_folder(self.out, grasp.name) / "result.json"
+        outcome = self.store.settings.of(grasp.mark.mark).get("outcome")
+        if outcome is not None:
+            now = {"of": self._inputs(grasp, self._basis(grasp, self._own(grasp))), **asdict(shape)}
+            return result.is_file() and now.items() <= outcome.items()
         if not (written.is_file() and result.is_file()) or result.stat().st_mtime < written.stat().st_mtime:
             return False
         now = json.loads(json.dumps(labels_to_json(self.whole_labels(grasp))))
@@ -222,27 +273,71 @@ class Labelling:
         """
         return self._make(grasp, value, job).command
 
-    def _make(self, grasp: Grasp, value: Labels, job: BackgroundJob) -> ClipFiles:
+    def _make(self, grasp: Grasp, value: Labels, job: BackgroundJob) -> _Written:
         from getagrip.studio.store.export_clip import clip_command, write_labelled_clip_files
 
         self.out.mkdir(parents=True, exist_ok=True)
+        lens, settings, out = self.lens(grasp), self.store.settings, self.out / grasp.name
+        settings.put_lens(grasp.mark.mark, lens)
+        of = self._inputs(grasp, self._basis(grasp, self._own(grasp)))
+        of_code = _basis_checksum(of, __version__)
         if (path := self._segments(grasp)) is not None and grasp.whole is not None:
             files.write_json(path, {grasp.task.key: grasp.whole.listed().fields})
         whole = replace(value, sha256=footage_checksum(grasp.path))
         write_label_file(whole, self.out / f"labels-{grasp.name}.json")
         frames = value.last - value.first + 1
+        command = clip_command(replace(value, video=str(grasp.path)), out, self._segments(grasp))
+        known = settings.of(grasp.mark.mark).get("written")
+        if known is not None and known["of"] == of_code:
+            confidence = {int(n): float(sure) for n, sure in known["confidence"].items()}
+            if _has_clip_files(out, sum(sure > 0.0 for sure in confidence.values())):
+                return _Written(of, command, confidence)
         with closing(open_footage(grasp.path)) as footage:
 
             def image(n: int) -> UInt8[ndarray, "H W 3"]:
                 job.report(job.done, frames)
                 return footage.image(n)
 
-            out = self.out / grasp.name
             made = write_labelled_clip_files(
-                value, image, self.lens, out, overwrite=True, done=lambda masks: job.report(masks, frames),
+                value, image, lens, out, overwrite=True, done=lambda masks: job.report(masks, frames),
                 found=self.found(grasp), name=footage.name,
             )  # fmt: skip
-        return replace(made, command=clip_command(replace(value, video=str(grasp.path)), out, self._segments(grasp)))
+        sure = {str(n): float(x) for n, x in made.confidence.items()}
+        settings.put(grasp.mark.mark, {"written": {"of": of_code, "confidence": sure}})
+        return _Written(of, command, made.confidence)
+
+    def _inputs(self, grasp: Grasp, basis: Basis) -> str:
+        """Return a checksum of all that the files of a clip are made of."""
+        whole = grasp.whole
+        segments = [] if whole is None else [(one.start, one.end, one.side, one.state) for _, one in whole.finished]
+        about = grasp.extent, grasp.side, segments, whole is not None and whole.still
+        return _basis_checksum(basis, asdict(self.lens(grasp)), *about)
+
+    def _iou_of_result(self, grasp: Grasp) -> dict[int, float]:
+        """Return the IOU of a grasp's result with the masks, by frame."""
+        result = jobs.result_folder(self.out, grasp.name)
+        record = result / "result.json"
+        if not record.is_file():
+            return {}
+        if (known := self._iou.get(result)) is None or known[0] != record.stat().st_mtime_ns:
+            known = self._iou[result] = record.stat().st_mtime_ns, jobs.iou_by_frame(result)
+        names = {grasp.footage.name(n): n for n in range(grasp.extent[0], grasp.extent[1] + 1)}
+        return {names[name]: x for name, x in known[1].items() if name in names}
+
+    def _result(self, grasp: Grasp, outcome: Json | None, solved: bool) -> dict[str, object] | None:
+        """Return what is known of a grasp's result, and whether it is of the ``current`` labels; None without one."""
+        record = jobs.result_folder(self.out, grasp.name) / "result.json"
+        if not record.is_file():
+            return None
+        said = "" if outcome is None else outcome["said"]
+        return {"current": solved, "said": said, **self._describe(record)}
+
+    def _describe(self, record: Path) -> dict[str, object]:
+        """Return when a result was ``made`` [us], and what is said of it; read again only where it changed."""
+        made = record.stat().st_mtime_ns // 1000
+        if (known := self._verdicts.get(record)) is None or known[0] != made:
+            known = self._verdicts[record] = made, describe_result(record.parent)
+        return {"made": made, **known[1]}
 
     def _segments(self, grasp: Grasp) -> Path | None:
         """Return the segment file of a whole interaction; None for a single grasp."""
@@ -284,7 +379,9 @@ class Labelling:
         }
         hand = {one.frame: one.joints for one, labelled in frames if labelled.joints is not None}
         spans, found = keyframe_spans(masks, first, last) if masks else (), self.found(grasp)
-        hands = [(first, last, _basis_checksum(first, last, hand, grasp.side, asdict(self.lens)))] if hand else []
+        hands = (
+            [(first, last, _basis_checksum(first, last, hand, grasp.side, asdict(self.lens(grasp))))] if hand else []
+        )
         if not hand and found.joints:
             hands = [(first, last, found.word)]
         drawn = [(one.first, one.last, _basis_checksum({n: masks[n] for n in one.keys}, found.word)) for one in spans]
@@ -315,7 +412,7 @@ class Labelling:
         wrong: UsageError | None = None
         with closing(open_footage(grasp.path)) as footage:
             if len(known["hand"]) < len(words["hand"]):
-                K, _ = compute_intrinsics(self.lens, labels.size)
+                K, _ = compute_intrinsics(self.lens(grasp), labels.size)
                 try:
                     if labels.clicks:
                         hands = polygon_drafts.draft_fitted_hand(labels, K, footage.image)
@@ -332,6 +429,11 @@ class Labelling:
         if wrong is not None:
             raise wrong
         return ""
+
+
+def _has_clip_files(folder: Path, masks: int) -> bool:
+    """Return whether a folder has a hand file and a number of masks."""
+    return (folder / "hand.npz").is_file() and len([*(folder / "masks").glob("*.png")]) == masks
 
 
 def _report_checksum(content: bytes) -> str:

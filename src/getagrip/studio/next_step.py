@@ -1,4 +1,4 @@
-"""The next step of labelling: the frame on which to draw, and advice after a result that looks wrong.
+"""The next step of labelling: the frame on which to draw, the verdict on a result, and advice where it looks wrong.
 
 Suggested frames are first those where the object is lost, then the ends, then those where drawing helps most.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.io.terminal import format_ranges
 from getagrip.result import Reconstruction, read_result
+from getagrip.result.findings import format_probability
 from getagrip.studio.jobs import RequestedMesh
 from getagrip.studio.masks.box_prompt import Box
 from getagrip.studio.masks.propagate_clip import keyframe_spans
@@ -30,6 +32,42 @@ OBJECT_HALF_SIZE_M = 0.04
 """Assumed half size of an object, by which its motion in the hand is measured [m]."""
 MIN_FRAMES_BEFORE_JUMP = 10
 """Minimum number of frames before a jump for which a draft of them is advised."""
+Word: TypeAlias = Literal["right", "uncertain", "wrong"]
+RIGHT_PROBABILITY, WRONG_PROBABILITY = 0.8, 0.2
+"""Probabilities in the hand from which on a result with the object's own mesh looks right, and up to which wrong."""
+
+
+def judge(result: Reconstruction) -> Word:
+    """Return what a result looks like: wrong with a serious finding, uncertain where nothing vouches for it."""
+    probability = result.probability_right
+    if any(finding.serious for finding in result.findings) or "wrong" in result.looks:
+        return "wrong"
+    if probability is None:
+        return "uncertain"
+    if result.looks:  # of an assumed mesh, whose probability is low even where it looks right
+        return "right"
+    if probability.value >= RIGHT_PROBABILITY:
+        return "right"
+    return "wrong" if probability.value <= WRONG_PROBABILITY else "uncertain"
+
+
+def describe_result(folder: Path) -> dict[str, object]:
+    """Return what the page says of the result in a folder.
+
+    The ``verdict`` with the ``probability`` as text and the ``findings``, the serious ones first. A result that does
+    not read is uncertain, and its error is the finding.
+    """
+    try:
+        result = read_result(folder)[0]
+    except InputError as error:
+        return {"verdict": "uncertain", "probability": "", "findings": [{"serious": True, "message": str(error)}]}
+    found = sorted(result.findings, key=lambda finding: not finding.serious)
+    known = result.probability_right
+    return {
+        "verdict": judge(result),
+        "probability": "" if known is None else format_probability(known.value),
+        "findings": [{"serious": finding.serious, "message": finding.message} for finding in found],
+    }
 
 
 def next_step(

@@ -31,6 +31,8 @@ from getagrip.studio.store.marks import (
 )
 from getagrip.studio.store.tasks import Task, open_footage
 
+PROGRESS = ("not begun", "drawn", "wrong", "uncertain", "right")
+"""States of a grasp whose pose is wanted, the least far first; the last three are verdicts on its result."""
 MAX_OPEN_FOOTAGE = 4
 """Maximum number of videos that are open at once."""
 
@@ -57,15 +59,27 @@ class Project:
         self.store.close()
 
     def overview(self, annotator: object) -> dict[str, object]:
-        """List all tasks with an annotator's state of each: "", started, marked, discarded. Raises ``RefusedError``."""
+        """List all tasks with an annotator's state of each: "", started, marked, discarded. Raises ``RefusedError``.
+
+        Where the mesh of a grasp is stated, a pose is wanted, and the state is that of the grasp that is least far.
+        """
         own: dict[str, list[Mark]] = {}
         for mark in self.store.marks.standing(annotator=history.check_annotator(annotator)):
             own.setdefault(mark.task, []).append(mark)
         tasks = [
-            asdict(task) | {"path": None, "found": task.path is not None, "state": _task_state(own.get(task.key, []))}
+            asdict(task)
+            | {"path": None, "found": task.path is not None, "state": self._state(task, own.get(task.key, []))}
             for task in self.tasks.values()
         ]
-        return {"project": self.name, "tasks": tasks, "categories": EPIC_CATEGORIES, "reasons": marks.DISCARD_REASONS}
+        last = self.store.settings.newest(history.check_annotator(annotator))
+        there = last is not None and last[0] in self.tasks and self.tasks[last[0]].path is not None
+        return {
+            "project": self.name,
+            "tasks": tasks,
+            "categories": EPIC_CATEGORIES,
+            "reasons": marks.DISCARD_REASONS,
+            "last": last if there else None,
+        }
 
     def task(self, key: object) -> dict[str, object]:
         """Return the frames of a task, from 0.
@@ -116,6 +130,12 @@ class Project:
         """Make a change of a key frame of a grasp. Raises ``RefusedError``."""
         grasp = self._grasp(content)
         self.labelling.change(grasp, content)
+        return self.labelling.state(grasp)
+
+    def set(self, content: Json) -> dict[str, object]:
+        """Store some settings of a grasp, as its mesh. Raises ``RefusedError``."""
+        grasp = self._grasp(content)
+        self.labelling.set(grasp, content.get("set"))
         return self.labelling.state(grasp)
 
     def unlabel(self, content: Json) -> dict[str, object]:
@@ -195,12 +215,13 @@ class Project:
                 count += 1
         return count
 
-    def mark_grasp(self, task: Task, annotator: str, extent: tuple[int, int], side: str) -> None:
+    def mark_grasp(self, task: Task, annotator: str, extent: tuple[int, int], side: str) -> Grasp:
         """Mark a grasp, both frames included, unless the annotator has marked it already. Raises ``RefusedError``."""
         name = history.check_annotator(annotator)
         own = self.store.marks.standing(task.key, name)
-        if not any(mark.interval == extent and mark.side == side for mark in own):
-            self._mark(task, name, str(uuid4()), {"start": extent[0], "end": extent[1], "side": side})
+        known = next((mark for mark in own if mark.interval == extent and mark.side == side), None)
+        sets = {"start": extent[0], "end": extent[1], "side": side}
+        return Grasp(task, self.footage(task), known or self._mark(task, name, str(uuid4()), sets))
 
     def _mark(self, task: Task, name: str, tab: str, sets: Json) -> Mark:
         """Make a new mark of the task's object."""
@@ -273,6 +294,13 @@ class Project:
         if not isinstance(key, str) or key not in self.tasks:
             raise RefusedError(f"task must be one of {len(self.tasks)} tasks (got {files.shorten_value(key)})")
         return self.tasks[key]
+
+    def _state(self, task: Task, found: list[Mark]) -> str:
+        wanted = [
+            mark for mark in found if mark.interval and mark.side and self.store.settings.of(mark.mark).get("mesh")
+        ]
+        each = [self.labelling.progress(task, mark) for mark in wanted]
+        return min(each, key=PROGRESS.index) if each else _task_state(found)
 
     def _present(self) -> list[Task]:
         """Return the tasks with footage."""

@@ -41,7 +41,7 @@ MAX_SKIPPED_BODY_BYTES = 64 * 2**20
 STUDIO_STYLESHEETS = ("page", "labels")
 STUDIO_SCRIPTS = (
     "app", "grasps", "joints", "labelling", "labels", "outlines", "overlay", "page", "panel", "player", "saving",
-    "segments", "states", "strokes", "tasks", "timeline", "view",
+    "segments", "settings", "states", "strokes", "tasks", "timeline", "view",
 )  # fmt: skip
 PAGE_ROUTES = {
     "/": ("index.html", "text/html"),
@@ -62,6 +62,7 @@ CHANGE_ROUTES = {
     "/api/undo": "undo",
     "/api/label": "label",
     "/api/unlabel": "unlabel",
+    "/api/set": "set",
     "/api/work": "work",
 }
 """Methods of the project, by the path of their requests."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,8 @@ from getagrip.cli import main
 from getagrip.clip import read_clip
 from getagrip.errors import GetagripError
 from getagrip.io.images import write_image
+from getagrip.result import write_result
+from getagrip.result.findings import Finding, Probability
 from getagrip.studio import jobs
 from getagrip.studio.jobs import BackgroundJob
 from getagrip.studio.store.history import Change
@@ -27,6 +30,7 @@ from helpers.annotation import (
     Served,
     click,
     click_joints,
+    close,
     drag,
     draw,
     draw_disc,
@@ -40,9 +44,29 @@ from helpers.annotation import (
     shows,
     until,
 )
+from helpers.clips import small_clip
 from helpers.labelled_scene import circle, joints, middle
+from helpers.results import true_result
 
 pytestmark = IN_BROWSER
+
+
+def write_empty_report(words: Sequence[str]) -> str:
+    """What the last of the commands writes, without a fit."""
+    if words[0] == "report":
+        folder = Path(words[1])
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "result.json").touch()
+        write_image(folder / "report.png", np.zeros((40, 200, 3), np.uint8))
+        (folder / "report.html").write_text("<p>the report of a plate</p>")
+    return f"{words[0]}: done"
+
+
+def label_frame(served: Served) -> None:
+    """All joints of the first frame."""
+    about = {"grasp": MARK, "task": "scene", "annotator": "ann", "tab": "a-tab-of-old"}
+    clicked = {str(n): point for n, point in enumerate(joints(FIRST_FRAME))}
+    served.project.label(about | {"change": "all-joints", "frame": FIRST_FRAME, "set": {"joints": clicked}})
 
 
 def test_two_tabs_that_label_lose_nothing(context: Any, served: Served) -> None:
@@ -109,7 +133,7 @@ def test_from_clicks_to_files(context: Any, served: Served, tmp_path: Path) -> N
     expect(page.locator("#layer path.draft")).to_have_count(0)
     page.keyboard.press("v")
     page.reload()
-    shows(page, FIRST_FRAME)  # what was filled in is still there
+    shows(page, BETWEEN)  # where one was; what was filled in is still there
     expect(page.locator("#fill-state")).to_have_text(f"All {LAST_FRAME - FIRST_FRAME + 1} frames filled in.")
     goto(page, BETWEEN)
     page.keyboard.press("o")
@@ -138,18 +162,10 @@ def test_it_ends_in_a_reconstruction(
     def ran(words: Sequence[str], job: BackgroundJob) -> str:
         if words[0] == "clip" and main([*words]):
             raise GetagripError(f"{words[words.index('--mesh') + 1]} is refused")
-        if words[0] == "report":
-            folder = Path(words[1])
-            folder.mkdir(parents=True)
-            (folder / "result.json").touch()
-            write_image(folder / "report.png", np.zeros((40, 200, 3), np.uint8))
-            (folder / "report.html").write_text("<p>the report of a plate</p>")
-        return f"{words[0]}: done"
+        return write_empty_report(words)
 
     monkeypatch.setattr(jobs, "run_command", ran)
-    about = {"grasp": MARK, "task": "scene", "annotator": "ann", "tab": "a-tab-of-old"}
-    clicked = {str(n): point for n, point in enumerate(joints(FIRST_FRAME))}
-    served.project.label(about | {"change": "all-joints", "frame": FIRST_FRAME, "set": {"joints": clicked}})
+    label_frame(served)
     page = opened(context, served)
     expect(page.locator("#reconstruct")).to_be_disabled()
     draw_disc(page, FIRST_FRAME)
@@ -167,6 +183,134 @@ def test_it_ends_in_a_reconstruction(
     with context.expect_page() as opens:
         page.click("#report-page")
     expect(opens.value.locator("body")).to_contain_text("the report of a plate")
+
+
+def test_nothing_is_forgotten(context: Any, browser: Any, served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mesh, size, frame, tool and result are as they were after a reload, a restart, and in another browser."""
+    monkeypatch.setattr(jobs, "run_command", lambda words, job: write_empty_report(words))
+    label_frame(served)
+    page = opened(context, served)
+    draw_disc(page, FIRST_FRAME)
+    page.fill("#mesh", "plate")
+    page.fill("#size-mm", "180")
+    page.click("#reconstruct")
+    expect(page.locator("#outcome")).to_have_text("clip: done\nreconstruct: done", timeout=30_000)
+    page.keyboard.press("i")
+    goto(page, BETWEEN)
+    page.wait_for_timeout(800)
+
+    def is_as_it_was(page: Any) -> None:
+        shows(page, BETWEEN)
+        assert page.input_value("#mesh") == "plate"
+        assert page.input_value("#size-mm") == "180"
+        expect(page.locator("#tools [data-tool=front]")).to_have_attribute("aria-checked", "true")
+        expect(page.locator("#outcome")).to_have_text("clip: done\nreconstruct: done")
+        expect(page.locator("#outdated")).to_be_hidden()
+
+    page.reload()
+    is_as_it_was(page)
+    served.stop()
+    expect(page.locator("#saved")).to_contain_text("the server is not reached")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("b")
+    page.wait_for_timeout(300)
+    expect(page.locator("#problem")).to_be_hidden()  # it is said once
+    served.start()
+    saved(page)
+    shows(page, BETWEEN + 1)
+    expect(page.locator("#fill-state")).to_contain_text("frames filled in", timeout=30_000)
+    goto(page, BETWEEN)
+    page.wait_for_timeout(800)
+    page.reload()
+    is_as_it_was(page)
+    other = browser.new_context()
+    another = other.new_page()
+    another.goto(served.server.url)
+    another.fill("#name-field", "ann")
+    another.keyboard.press("Enter")
+    is_as_it_was(another)
+    close(other)
+    page.keyboard.press("o")
+    goto(page, FIRST_FRAME)
+    page.click("#outline-list button")
+    expect(page.locator("#outdated")).to_be_visible()
+
+
+def test_one_verdict_says_what_the_result_is(
+    context: Any, served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Coloured, with its probability; the serious finding first; what the commands said is folded."""
+    serious, note = (Finding("hand-size", worse, 1.0, 0.5, f"it is {worse}") for worse in (True, False))
+    results = iter([
+        {"findings": (note, serious)},
+        {"findings": (note,), "probability_right": Probability(0.93, "within a tenth")},
+    ])  # fmt: skip
+
+    def ran(words: Sequence[str], job: BackgroundJob) -> str:
+        if words[0] == "report":
+            shutil.rmtree(words[1], ignore_errors=True)
+            write_result(replace(true_result(small_clip()[0], None), **next(results)), Path(words[1]), "", {}, tmp_path)
+        return write_empty_report(words)
+
+    monkeypatch.setattr(jobs, "run_command", ran)
+    label_frame(served)
+    page = opened(context, served)
+    expect(page.locator("#verdict")).to_be_hidden()
+    draw_disc(page, FIRST_FRAME)
+    page.fill("#mesh", "plate")
+    page.click("#reconstruct")
+    expect(page.locator("#verdict-word")).to_have_text("Looks wrong", timeout=30_000)
+    expect(page.locator("#findings summary")).to_have_text("2 findings, 1 serious")
+    expect(page.locator("#findings li")).to_have_text(["it is True", "it is False"])
+    expect(page.locator("#outcome")).to_be_hidden()
+    page.click("#reconstruct")
+    expect(page.locator("#verdict-word")).to_have_text("Looks right", timeout=30_000)
+    expect(page.locator("#verdict-probability")).to_have_text("right with a probability of 93 %")
+    expect(page.locator("#findings summary")).to_have_text("1 finding")
+
+
+def test_the_picture_is_the_page(context: Any, served: Served) -> None:
+    """Most of a laptop's height; keys behind ?; on a phone what stays in sight leaves room for it."""
+    page = opened(context, served)
+    page.set_viewport_size({"width": 1280, "height": 720})
+    until(page, "document.getElementById('screen').getBoundingClientRect().height >= 0.8 * innerHeight")
+    lists = page.locator(".keys[data-in=labels] ul")
+    expect(lists).to_be_hidden()
+    page.keyboard.press("?")
+    expect(lists).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(lists).to_be_hidden()
+    draw_disc(page, FIRST_FRAME)
+    expect(page.locator("#reconstruct")).to_be_in_viewport()
+    page.locator("#labels-json").scroll_into_view_if_needed()
+    expect(page.locator("#reconstruct")).to_be_in_viewport()
+    page.set_viewport_size({"width": 390, "height": 844})
+    for place in ("#labels-json", "#screen"):
+        page.locator(place).scroll_into_view_if_needed()
+        expect(page.locator("#reconstruct")).to_be_in_viewport()
+        heights = "['header', '.bar'].map((name) => document.querySelector(name).offsetHeight)"
+        assert page.evaluate(f"{heights}.reduce((a, b) => a + b) <= innerHeight / 4")
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert page.locator("#screen").bounding_box()["height"] > 844 / 2
+
+
+def test_a_clip_is_done_when_it_has_a_result(context: Any, served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not before a stroke, though the grasp is marked, as ``label`` does."""
+    monkeypatch.setattr(jobs, "run_command", lambda words, job: write_empty_report(words))
+    about = {"task": "scene", "annotator": "ann", "grasp": MARK}
+    served.project.set(about | {"set": {"mesh": "plate"}})
+    page = opened(context, served)
+    listed = page.locator("#task-list li").first
+    expect(page.locator("#progress")).to_have_text("0 of 2 done")
+    expect(listed).to_contain_text("not begun")
+    label_frame(served)
+    draw_disc(page, FIRST_FRAME)
+    expect(listed).to_contain_text("drawn, no result")
+    page.click("#reconstruct")
+    expect(page.locator("#progress")).to_have_text("1 of 2 done", timeout=30_000)
+    expect(listed).to_contain_text("uncertain")  # what was written does not read
+    page.reload()
+    expect(page.locator("#progress")).to_have_text("1 of 2 done")
 
 
 def test_the_next_step_is_shown_and_the_grasp_can_be_left(context: Any, served: Served) -> None:

@@ -38,6 +38,8 @@ from getagrip.studio.hands.relift_hands import JOINTS_DEPTH_KEY
 from getagrip.studio.masks.box_prompt import MIN_BOX_CORRELATION, MIN_BOX_SIDE_PX, downscale_image, track_box
 
 DETECTED_HANDS_FOLDER = "found"
+INPUTS_KEY = "found_by"
+"""Key, in a hand file, of the checksum of all that the hands were found by."""
 DRAFTS_FOLDER = "drafts"
 """Folder, beside the marks of several videos, of the drafts of each."""
 CUT_THUMBNAIL_PX = 24
@@ -92,9 +94,10 @@ class HandDetectionFiles:
 
     @cached_property
     def word(self) -> str:
-        """A checksum of the files' names, sizes and times; empty without files."""
-        paths = sorted(self.folder.rglob("*")) if self.folder.is_dir() else []
-        about = [(each.name, each.stat().st_size, each.stat().st_mtime_ns) for each in paths]
+        """A checksum of the files' names and contents, the same in a copy of the folder; empty without files."""
+        masks = self.folder / "masks"
+        paths = [self.path, *(sorted(masks.iterdir()) if masks.is_dir() else [])]
+        about = [(each.name, sha256(each.read_bytes()).hexdigest()) for each in paths if each.is_file()]
         return sha256(repr(about).encode()).hexdigest()[:16] if about else ""
 
 
@@ -113,6 +116,8 @@ class DetectedHands:
     """Provenance for a clip."""
     depth: Float[ndarray, "n 21"] | None = None
     """Depth of each joint by the network, up to an offset of each frame [m]."""
+    inputs: str = ""
+    """Checksum of all that it was found by; empty where that is not known."""
 
 
 def lift_detected_landmarks(
@@ -258,7 +263,7 @@ def write_detected_hands(
     folder = files.folder_inside(out) / DETECTED_HANDS_FOLDER
     with files.new_folder(folder, ("hand.npz", "masks") if folder.exists() else ()) as new:
         places = np.array(found.frames) + 1
-        extra = {"frames": places, "K": found.K, "side": np.array(found.side)}
+        extra = {"frames": places, "K": found.K, "side": np.array(found.side), INPUTS_KEY: np.array(found.inputs)}
         extra |= {} if found.depth is None else {JOINTS_DEPTH_KEY: found.depth}
         write_hand(found.hand, new / "hand.npz", extra | provenance_to_arrays(found.provenance))
         (new / "masks").mkdir()

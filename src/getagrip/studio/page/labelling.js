@@ -7,6 +7,7 @@ import { tool as outlines } from "./outlines.js";
 import { tool as strokes } from "./strokes.js";
 import { drawOverlay, toggle } from "./overlay.js";
 import { drawPanel, reconstruct, say } from "./panel.js";
+import { fill } from "./settings.js";
 import { pan, pointAt, view } from "./view.js";
 
 const REACH = 8; // screen pixels within which a point is meant
@@ -19,6 +20,7 @@ const tool = () => TOOLS[state.tool];
 function choose(name) {
   tool().finish?.();
   state.tool = name;
+  emit("tool");
   draw();
 }
 
@@ -31,18 +33,18 @@ export async function begin(mark) {
   try {
     await labels.open(mark.mark);
   } catch (error) {
-    problem(error.message);
+    problem(error);
     return;
   }
-  Object.assign(state, { mode: "labels", tool: state.labels.found ? "on" : "joints" });
+  const { settings } = state.labels;
+  fill(settings, mark.category);
+  Object.assign(state, { mode: "labels", tool: settings.tool ?? (state.labels.found ? "on" : "joints") });
   view.fitted = true;
   player.look(true);
-  $("mesh").value ||= mark.category ?? "";
   $("label-title").textContent = `Frames ${mark.start_number} – ${mark.end_number}`;
   emit("mode");
   draw();
-  const here = Math.min(Math.max(player.wanted, mark.start), mark.end);
-  await player.show(state.labels.keyframes.size ? here : mark.start);
+  await player.show(Math.min(Math.max(settings.frame ?? mark.start, mark.start), mark.end));
   if (state.labels?.found && labels.missing(mark.start)) labels.work("propagate"); // the hands that were found
 }
 

@@ -1,7 +1,7 @@
 // The key frames of one grasp, with joints and polygons, and the drafts that the server makes from them.
 
-import { ask, on, player, problem, saving, state, emit } from "./app.js";
-import { fresh, tab } from "./saving.js";
+import { ask, on, player, post, problem, saving, state, emit } from "./app.js";
+import { Away, fresh, tab } from "./saving.js";
 
 const SETTLE = 600; // ms after the last of several small moves until they are sent as one
 const KEY = "getagrip-labelled"; // the grasp that this tab labels, for reloads
@@ -31,6 +31,7 @@ export async function open(mark) {
   const labels = await ask("/api/labels", about);
   state.labels = { about, grasp: mark, keyframes: new Map(), drafts: { masks: new Map(), hand: new Map() }, seen: 0 };
   sessionStorage.setItem(KEY, mark);
+  state.labels.settings = labels.settings;
   take(labels);
 }
 
@@ -47,7 +48,7 @@ export const before = () => sessionStorage.getItem(KEY);
 function take(answer) {
   const labels = state.labels;
   if (!labels || answer.grasp !== labels.grasp) return;
-  [labels.job, labels.wanted] = [answer.job, answer.wanted];
+  [labels.job, labels.wanted, labels.result] = [answer.job, answer.wanted, answer.result];
   const old = answer.newest < labels.newest; // it was asked before a change that is answered already
   if (!old && !saving.waiting.length && !moved) { // else its answer comes after what is still on its way
     const { newest, extent, side, size, fewest, basis, found } = answer;
@@ -84,7 +85,8 @@ export async function refresh() {
   try {
     const answer = await ask("/api/labels", who());
     const same = answer.newest === labels.newest && answer.drafts === labels.seen && JSON.stringify(answer.extent) === JSON.stringify(labels.extent);
-    if (!same || JSON.stringify(answer.job) !== JSON.stringify(labels.job)) take(answer);
+    if (!same || JSON.stringify([answer.job, answer.result]) !== JSON.stringify([labels.job, labels.result])) take(answer);
+    if (labels.asked && !saving.waiting.length) work(...labels.asked);
   } catch { /* the server is away: saving reports it */ }
 }
 
@@ -146,15 +148,16 @@ export function undo() {
 export async function work(what, about = {}) {
   settle();
   await saving.flush();
-  const sent = { ...who(), ...about, work: what, project: saving.project };
+  const labels = state.labels;
+  labels.asked = null;
   try {
-    const answer = await fetch("/api/work", { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(sent) });
-    const body = await answer.json();
-    if (!answer.ok) throw new Error(body.error);
+    const answer = await post("/api/work", { ...who(), ...about, work: what, project: saving.project });
     problem(null);
-    take(body);
+    take(answer);
   } catch (error) {
-    problem(error.message);
+    if (error instanceof Away) Object.assign(labels, { job: null, asked: what === "cancel" ? null : [what, about] }); // asked again when it is back
+    problem(error);
+    emit("labels");
   }
 }
 

@@ -1,15 +1,17 @@
 // The page: who is at it, which clip is open, and what keys and buttons do in its two modes.
 
-import { $, clock, invited, move, on, player, problem, saving, state } from "./app.js";
+import { $, clock, invited, many, move, on, player, problem, saving, state } from "./app.js";
 import * as grasps from "./grasps.js";
 import { unseen } from "./joints.js";
 import * as labelling from "./labelling.js";
 import * as labels from "./labels.js";
+import { Away } from "./saving.js";
 import * as segments from "./segments.js";
 import { openTask, overview, refresh, step } from "./tasks.js";
 import { drawTimeline } from "./timeline.js";
 import { KEYS as VIEW } from "./view.js";
 
+const AWAY = "the server is not reached";
 const POLL = 1500; // ms between questions whether another tab has changed something
 const POLL_WORK = 400; // the same while the server works
 
@@ -29,10 +31,19 @@ on("problem", (text) => {
   $("problem").hidden = !text;
 });
 on("refused", problem);
-on("pending", (count, reason) => {
-  $("saved").className = count ? "pending" : "";
-  if (reason) $("saved").textContent = `Not saved, ${reason}: ${count} change${count > 1 ? "s" : ""} kept here, tried again`;
-  else $("saved").textContent = count ? "Saving …" : "All saved";
+let away = false, pending = [0];
+function drawSaved() {
+  const [count, reason] = pending;
+  $("saved").className = count || away ? "pending" : "";
+  if (reason || (away && count)) $("saved").textContent = `Not saved, ${reason ?? AWAY}: ${many(count, "change")} kept here, tried again`;
+  else $("saved").textContent = away ? `Nothing is lost: ${AWAY}, tried again` : count ? "Saving …" : "All saved";
+}
+on("pending", (...now) => { pending = now; drawSaved(); });
+on("away", (now) => {
+  if (now === away) return;
+  away = now;
+  drawSaved();
+  if (!away && state.info && player.shown?.index !== player.wanted) player.show(player.wanted);
 });
 on("mode", () => {
   for (const part of document.querySelectorAll("[data-in]")) part.hidden = part.dataset.in !== state.mode;
@@ -62,6 +73,8 @@ function label() {
   else problem("Mark the start and the end of a grasp first: its frames can be labelled then.");
 }
 
+const keyList = () => document.querySelector(`.keys[data-in=${state.mode}]`);
+
 const COMMON = {
   "ArrowLeft": (event) => move(player.wanted - (event.shiftKey ? 10 : 1)),
   "ArrowRight": (event) => move(player.wanted + (event.shiftKey ? 10 : 1)),
@@ -69,6 +82,7 @@ const COMMON = {
   "n": () => step(1),
   "p": () => step(-1),
   "l": label,
+  "?": () => { keyList().open = !keyList().open; },
   ...VIEW,
 };
 const MODES = { grasps: { ...COMMON, ...grasps.KEYS, ...segments.KEYS }, labels: { ...COMMON, ...labelling.KEYS } };
@@ -95,7 +109,8 @@ document.addEventListener("keydown", (event) => {
   const key = undoes ? "u" : event.key.length === 1 ? event.key.toLowerCase() : event.key;
   if (event.repeat && !key.startsWith("Arrow") && !(state.mode === "labels" && REPEATED.has(key))) return;
   if (event.repeat && player.shown?.index !== player.wanted) return event.preventDefault(); // no faster than frames come
-  if (press(key, event)) event.preventDefault();
+  if (key === "Escape" && keyList().open) keyList().open = false;
+  else if (press(key, event)) event.preventDefault();
 });
 
 for (const button of document.querySelectorAll("[data-key]")) {
@@ -129,14 +144,16 @@ async function begin(name) {
     localStorage.setItem("getagrip-annotator", name);
     $("annotator").textContent = name;
     await saving.flush(); // what an earlier page could not send
-    const next = state.tasks.find((task) => task.key === before) ?? (name === invited ? state.tasks.find((task) => task.state && task.found) : null) ?? state.tasks.find((task) => !task.state && task.found) ?? state.tasks.find((task) => task.found);
+    const [last, grasp] = state.last ?? [];
+    const next = state.tasks.find((task) => task.key === before) ?? state.tasks.find((task) => task.key === last) ?? (name === invited ? state.tasks.find((task) => task.state && task.found) : null) ?? state.tasks.find((task) => !task.state && task.found) ?? state.tasks.find((task) => task.found);
     await openTask(next);
     const known = [...state.marks, ...(state.interaction ? [state.interaction] : [])];
     const whole = known.filter((mark) => mark.mark && mark.end !== null);
-    const labelled = whole.find((mark) => mark.mark === labels.before()) ?? (name === invited ? whole[0] : undefined);
+    const labelled = whole.find((mark) => mark.mark === labels.before()) ?? (next?.key !== before ? whole.find((mark) => mark.mark === grasp) : undefined) ?? (name === invited ? whole[0] : undefined);
     if (labelled) await labelling.begin(labelled);
   } catch (error) {
-    problem(error.message);
+    problem(error);
+    if (error instanceof Away) return setTimeout(() => begin(name), POLL);
     state.annotator = null;
     askName();
   }

@@ -4,6 +4,7 @@ import { $, element, many, move, player, state } from "./app.js";
 import { NAMES } from "./joints.js";
 import { change, here, missing, settle, stale, work } from "./labels.js";
 import { drawing, remove } from "./outlines.js";
+import { shape } from "./settings.js";
 
 const UNSURE = 0.85; // masks less sure than this are named
 const NAMED = 6; // frames named in a list, at most
@@ -33,7 +34,7 @@ function nextStroke(outlined) {
   if (!outlined) return there ? "The hands were found; they are drawn in every frame. Paint strokes over the object: along it, and over each of its colours. The hand does not belong to it." : "Go to the first frame (Home), and paint a stroke over the object there.";
   if (busy() || at === undefined) return null;
   if (there) return "Paint over the object here, too; z, then a stroke, for what does not belong to it.";
-  const result = state.labels.job?.what === "reconstruct" && state.labels.job.state === "done" ? "The result is there: see below. " : "";
+  const result = state.labels.result?.current ? "The result is there: see below. " : "";
   return `${result}Most is gained by a stroke on the frame that is named below.`;
 }
 
@@ -55,7 +56,7 @@ function nextStep(joint) {
     return `Now ${what} on the last frame or near it, and in the middle where the grasp is long or turns. The frames between are filled in (b).`;
   }
   if (unfilled()) return "Fill in the other frames (b).";
-  if (job?.what === "reconstruct" && job.state === "done") return "The result is there: see below, and open its report. Where it is off, correct labels or mesh, and reconstruct again.";
+  if (state.labels.result?.current && job?.what !== "files") return "The result is there: see below, and open its report. Where it is off, correct labels or mesh, and reconstruct again.";
   if (job?.what === "files" && job.state === "done") return "The files are there. Run the command below, with your object's mesh, to make the clip.";
   return "Step through the frames (→). Where something is off, k takes what was filled in, for you to correct; then fill in again. When all is right, name the object's mesh below and reconstruct.";
 }
@@ -112,12 +113,32 @@ function drawWork() {
   const command = job?.what === "files" && job.state === "done" ? job.message : "";
   $("command-box").hidden = !command;
   $("command").textContent = command;
-  const done = job?.what === "reconstruct" && job.state === "done", asked = new URLSearchParams(state.labels.about);
-  if (done && $("outcome-box").hidden) $("report").src = `/report.png?${asked}&at=${Date.now()}`;
-  $("outcome-box").hidden = !done;
-  $("outcome").textContent = done ? job.message : "";
+  const { result } = state.labels, asked = new URLSearchParams(state.labels.about);
+  const picture = result && `/report.png?${asked}&at=${result.made}`;
+  $("outcome-box").hidden = !result;
+  if (result && $("report").getAttribute("src") !== picture) $("report").src = picture;
+  drawVerdict(result, `/report.html?${asked}`);
+  $("outcome").textContent = result?.said ?? "";
   $("report-page").href = `/report.html?${asked}`;
   $("labels-json").href = `/labels.json?${new URLSearchParams(state.labels.about)}`;
+}
+
+const VERDICTS = { right: "Looks right", uncertain: "Uncertain", wrong: "Looks wrong" };
+
+/** The verdict on the result, and why: what was found, the serious first. */
+function drawVerdict(result, page) {
+  $("verdict").hidden = !result;
+  if (!result) return;
+  const { findings } = result, serious = findings.filter((one) => one.serious).length;
+  $("verdict").className = result.current ? result.verdict : "old";
+  $("verdict-word").textContent = VERDICTS[result.verdict];
+  $("verdict-probability").textContent = result.probability && `right with a probability of ${result.probability}`;
+  $("verdict-report").href = page;
+  $("outdated").hidden = result.current;
+  $("findings").hidden = !findings.length;
+  $("findings").firstElementChild.textContent = `${many(findings.length, "finding")}${serious ? `, ${serious} serious` : ""}`;
+  const rows = findings.map(({ message, serious: worse }) => element("li", { textContent: message, className: worse ? "serious" : "" }));
+  $("findings").lastElementChild.replaceChildren(...rows);
 }
 
 export function drawPanel(joint) {
@@ -130,8 +151,7 @@ export function drawPanel(joint) {
 $("fill").onclick = () => { work("propagate"); $("fill").blur(); };
 $("write").onclick = () => { work("files"); $("write").blur(); };
 export function reconstruct() {
-  const size = $("size-mm").value.trim();
-  work("reconstruct", { mesh: $("mesh").value, size_mm: size ? Number(size) : null });
+  work("reconstruct", shape());
 }
 $("reconstruct").onclick = () => { reconstruct(); $("reconstruct").blur(); };
 $("cancel").onclick = () => work("cancel");

@@ -1,12 +1,14 @@
 // Shows frames by index. What was fetched last is kept; while playing, what comes next is fetched ahead.
 
+import { Away } from "./saving.js";
+
 const KEPT = 300; // frames, as compressed images
 const KEPT_WHOLE = 60; // of those that are not made smaller
 const AHEAD = 24; // frames fetched ahead of the one that is shown, while playing
 const AT_ONCE = 4; // requests
 
 export class Player {
-  /** `onShown(frame)` is called with {index, time, number} of each frame drawn; `onProblem(text)` with what went wrong. */
+  /** `onShown(frame)` is called with {index, time, number} of each frame drawn; `onProblem(error)` with what went wrong. */
   constructor(canvas, onShown, onWaiting, onProblem) {
     Object.assign(this, { canvas, onShown, onWaiting, onProblem });
     this.frames = new Map();
@@ -63,7 +65,7 @@ export class Player {
     } catch (error) {
       if (this.epoch === epoch && this.wanted === wanted) {
         this.pause();
-        this.onProblem(error.message);
+        this.onProblem(error);
       }
       return null;
     } finally {
@@ -96,7 +98,7 @@ export class Player {
   }
 
   async load(index) {
-    const answer = await fetch(`/frame?task=${encodeURIComponent(this.task)}&n=${index}${this.whole ? "&whole=1" : ""}`);
+    const answer = await fetch(`/frame?task=${encodeURIComponent(this.task)}&n=${index}${this.whole ? "&whole=1" : ""}`).catch(() => { throw new Away(); });
     if (!answer.ok) throw new Error((await answer.json()).error);
     return {
       blob: await answer.blob(),
@@ -128,7 +130,7 @@ export class Player {
       if (next > this.shown.index) await this.show(next);
       for (let k = 1; k <= AHEAD && this.loading.size < AT_ONCE; k += 1) {
         const ahead = this.shown.index + k;
-        if (ahead <= last && !this.frames.has(ahead)) this.fetch(ahead).catch((error) => this.playing && (this.pause(), this.onProblem(error.message)));
+        if (ahead <= last && !this.frames.has(ahead)) this.fetch(ahead).catch((error) => this.playing && (this.pause(), this.onProblem(error)));
       }
       await new Promise(requestAnimationFrame);
     }

@@ -4,6 +4,9 @@
 
 const KEY = "getagrip-unsaved";
 
+/** What is thrown where the server is not reached: the page says so beside "saved", and ends it by itself. */
+export class Away extends Error {}
+
 export const fresh = () => crypto.randomUUID();
 
 // A tab keeps its name over reloads: undo takes back what was done in this tab.

@@ -2,9 +2,22 @@
 
 import { $, ask, element, on, pick, player, problem, saving, state, emit } from "./app.js";
 
+const VERDICTS = ["right", "uncertain", "wrong"], PROGRESS = ["not begun", "drawn", ...VERDICTS];
+const WORDS = { "not begun": "not begun", drawn: "drawn, no result", right: "looks right", uncertain: "uncertain", wrong: "looks wrong", discarded: "skipped" };
+
+/** How far the grasp is that is labelled, in the list of clips. */
+on("labels", () => {
+  const { task, labels } = state;
+  if (!labels || !PROGRESS.includes(task?.state)) return;
+  const now = labels.result?.current ? labels.result.verdict : labels.keyframes.size ? "drawn" : "not begun";
+  if (now === task.state) return;
+  task.state = now;
+  drawTasks();
+});
+
 export async function overview() {
-  const { project, tasks, categories, reasons } = await ask("/api/tasks", { annotator: state.annotator });
-  Object.assign(state, { tasks, categories, reasons });
+  const { project, tasks, categories, reasons, last } = await ask("/api/tasks", { annotator: state.annotator });
+  Object.assign(state, { tasks, categories, reasons, last });
   saving.project = project;
   drawTasks();
 }
@@ -32,7 +45,7 @@ export async function openTask(task) {
   } catch (error) {
     if (state.task !== task) return;
     $("where").textContent = task.key;
-    problem(error.message);
+    problem(error);
   }
 }
 
@@ -50,7 +63,7 @@ function take(answer) {
   state.newest = answer.newest;
   if (!state.marks.some((mark) => mark.mark === state.chosen)) state.chosen = null;
   const discarded = state.marks.some((mark) => mark.reason);
-  const now = state.marks.some((mark) => mark.end !== null) ? "marked" : discarded ? "discarded" : state.marks.length ? "started" : "";
+  const now = PROGRESS.includes(state.task.state) ? state.task.state : state.marks.some((mark) => mark.end !== null) ? "marked" : discarded ? "discarded" : state.marks.length ? "started" : "";
   if (now !== state.task.state) {
     state.task.state = now;
     drawTasks();
@@ -74,11 +87,11 @@ on("refused", () => refresh(true));
 
 function drawTasks() {
   $("tasks").hidden = state.tasks.length < 2;
-  const done = state.tasks.filter((task) => ["marked", "discarded"].includes(task.state)).length;
+  const done = state.tasks.filter((task) => ["marked", "discarded", ...VERDICTS].includes(task.state)).length;
   $("progress").textContent = `${done} of ${state.tasks.length} done`;
-  const signs = { marked: "✓", discarded: "✕", started: "…" };
+  const signs = { marked: "✓", discarded: "✕", started: "…", drawn: "✎", right: "✓", uncertain: "?", wrong: "!" };
   $("task-list").replaceChildren(...state.tasks.map((task) => {
-    const about = [task.start !== null && `${task.start}–${task.end}`, task.found ? task.side : "no footage"].filter(Boolean).join(" · ");
+    const about = [task.start !== null && `${task.start}–${task.end}`, task.found ? task.side : "no footage", WORDS[task.state]].filter(Boolean).join(" · ");
     const text = element("span", {}, [task.video, task.entity ?? task.category].filter(Boolean).join(" · "), element("small", { textContent: about }));
     const button = element("button", { onclick: () => openTask(task), title: task.key, className: task.found ? "" : "missing" }, element("i", { textContent: signs[task.state] ?? "" }), text);
     if (task.key === state.task?.key) button.ariaCurrent = "true";

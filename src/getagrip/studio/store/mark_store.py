@@ -3,7 +3,7 @@
 The tables ``versions`` and ``keyframe_versions`` hold all versions, the views ``marks`` and ``keyframes`` the current
 states. ``drafts`` are computed from key frames: polygons of masks and the silhouette of the hand, frame by frame. A
 draft has a checksum of its inputs (``basis``); if the key frames have changed since, the draft is out of date, and is
-shown until it is overwritten.
+shown until it is overwritten. ``settings`` holds what the page comes back to (``grasp_settings``).
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ from pathlib import Path
 
 from getagrip.errors import InputError
 from getagrip.io import files
-from getagrip.studio.store import labels, marks
+from getagrip.studio.store import grasp_settings, labels, marks
+from getagrip.studio.store.grasp_settings import SettingStore
 from getagrip.studio.store.history import VersionDatabase, Versions
 from getagrip.studio.store.labels import KeyFrame
 from getagrip.studio.store.marks import Mark
 
-MARKS_DATABASE_VERSION = 3
-"""Version of the tables, the file's ``user_version``. Version 1 has marks of grasps only, 2 key frames, too: files of
-both are migrated."""
+MARKS_DATABASE_VERSION = 4
+"""Version of the tables, the file's ``user_version``. Version 1 has marks of grasps only, 2 key frames, 3 segments,
+4 settings: older files are migrated."""
 MARKS_APPLICATION_ID = 0x67616772
 """The file's ``application_id``: "gagr"."""
 MAX_MARKS_TEXT_BYTES = 2**24
@@ -37,7 +38,12 @@ CREATE TABLE drafts (
 );
 CREATE INDEX drafts_of_grasp ON drafts (grasp, seq);
 """
-SCHEMA_MIGRATIONS = {1: marks.MARKS_SCHEMA, 2: labels.KEYFRAMES_SCHEMA + DRAFTS_SCHEMA, 3: marks.SEGMENTS_MIGRATION}
+SCHEMA_MIGRATIONS = {
+    1: marks.MARKS_SCHEMA,
+    2: labels.KEYFRAMES_SCHEMA + DRAFTS_SCHEMA,
+    3: marks.SEGMENTS_MIGRATION,
+    4: grasp_settings.SETTINGS_SCHEMA,
+}
 """Tables and columns that each version adds."""
 MAX_DRAFTS_PER_ANSWER = 200
 """Maximum number of drafts in one answer."""
@@ -97,6 +103,7 @@ class Store:
         self.marks: Versions[Mark] = marks.mark_versions(self.database)
         self.keyframes: Versions[KeyFrame] = labels.keyframe_versions(self.database)
         self.drafts = DraftStore(self.database)
+        self.settings = SettingStore(self.database)
 
     def close(self) -> None:
         """Close the file."""

@@ -432,6 +432,13 @@ def discarded_tasks(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Ma
     ]
 
 
+def name_grasp(task: Task, mark: Mark) -> str:
+    """Return the name of the files of a grasp with a side; truncated or changed names end with a checksum."""
+    whole = "-".join(map(str, [mark.annotator, task.video, mark.start_number, mark.end_number, mark.side]))
+    plain = re.sub(r"[^\w.-]", "_", whole).lstrip(".")[:MAX_GRASP_NAME_LENGTH]
+    return plain if plain == whole else f"{plain}-{sha256(json.dumps([whole]).encode()).hexdigest()[:8]}"
+
+
 @dataclass(frozen=True)
 class Grasp:
     """A finished grasp, or a whole interaction, and its footage."""
@@ -458,11 +465,8 @@ class Grasp:
 
     @property
     def name(self) -> str:
-        """Name of the grasp's files; truncated or changed names end with a checksum."""
-        parts = [self.mark.annotator, self.task.video, self.mark.start_number, self.mark.end_number, self.side]
-        whole = "-".join(map(str, parts))
-        plain = re.sub(r"[^\w.-]", "_", whole).lstrip(".")[:MAX_GRASP_NAME_LENGTH]
-        return plain if plain == whole else f"{plain}-{sha256(json.dumps([whole]).encode()).hexdigest()[:8]}"
+        """Name of the grasp's files."""
+        return name_grasp(self.task, self.mark)
 
     @property
     def path(self) -> Path:

@@ -1,0 +1,43 @@
+"""The verdict on a result."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from getagrip.result import write_result
+from getagrip.result.findings import ASSUMED_MESH, Finding, Probability
+from getagrip.studio.next_step import Word, describe_result, judge
+from helpers.clips import small_clip
+from helpers.results import true_result
+
+RESULT = replace(true_result(small_clip()[0], None), findings=(), probability_right=None)
+SERIOUS, NOTE = (Finding("hand-size", worse, 1.0, 0.5, f"serious: {worse}") for worse in (True, False))
+
+
+@pytest.mark.parametrize(
+    ("value", "beyond", "word"),
+    [
+        (0.95, (), "right"), (0.5, (), "uncertain"), (0.1, (), "wrong"),
+        (0.05, (ASSUMED_MESH,), "right"), (0.005, (ASSUMED_MESH,), "wrong"),
+    ],
+)  # fmt: skip
+def test_a_verdict_follows_the_probability_unless_a_finding_is_serious(
+    value: float, beyond: tuple[str, ...], word: Word
+) -> None:
+    result = replace(RESULT, probability_right=Probability(value, "", beyond), findings=(NOTE,))
+    assert judge(result) == word
+    assert judge(replace(result, findings=(NOTE, SERIOUS))) == "wrong"
+    assert judge(replace(result, probability_right=None)) == "uncertain"
+
+
+def test_serious_findings_come_first_and_what_does_not_read_is_uncertain(tmp_path: Path) -> None:
+    folder = write_result(replace(RESULT, findings=(NOTE, SERIOUS)), tmp_path / "it", "", {}, tmp_path)
+    found = describe_result(folder)
+    assert found["findings"] == [
+        {"serious": True, "message": "serious: True"}, {"serious": False, "message": "serious: False"},
+    ]  # fmt: skip
+    (folder / "result.npz").write_bytes(b"PK nothing")
+    assert describe_result(folder)["verdict"] == "uncertain"
