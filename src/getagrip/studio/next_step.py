@@ -34,17 +34,18 @@ MIN_FRAMES_BEFORE_JUMP = 10
 """Minimum number of frames before a jump for which a draft of them is advised."""
 Word: TypeAlias = Literal["right", "uncertain", "wrong"]
 RIGHT_PROBABILITY, WRONG_PROBABILITY = 0.8, 0.2
-"""Probabilities in the hand from which on a result with the object's own mesh looks right, and up to which wrong."""
+"""Probabilities, of a draft that it looks right, else of its pose in the hand, from which on a result looks right, and up
+to which wrong."""
 
 
 def judge(result: Reconstruction) -> Word:
     """Return what a result looks like: wrong with a serious finding, uncertain where nothing vouches for it."""
-    probability = result.probability_right
+    probability = result.probability_looks_right or result.probability_right
     if any(finding.serious for finding in result.findings) or "wrong" in result.looks:
         return "wrong"
     if probability is None:
         return "uncertain"
-    if result.looks:  # of an assumed mesh, whose probability is low even where it looks right
+    if probability.by_eye:  # of an assumed mesh, whose probability is low even where it looks right
         return "right"
     if probability.value >= RIGHT_PROBABILITY:
         return "right"
@@ -62,7 +63,7 @@ def describe_result(folder: Path) -> dict[str, object]:
     except InputError as error:
         return {"verdict": "uncertain", "probability": "", "findings": [{"serious": True, "message": str(error)}]}
     found = sorted(result.findings, key=lambda finding: not finding.serious)
-    known = result.probability_right
+    known = result.probability_looks_right or result.probability_right
     return {
         "verdict": judge(result),
         "probability": "" if known is None else format_probability(known.value),
