@@ -31,8 +31,8 @@ def test_a_verdict_follows_the_probability_unless_a_finding_is_serious(
     assert judge(result) == word
     assert judge(replace(result, findings=(NOTE, SERIOUS))) == "wrong"
     assert judge(replace(result, probability_right=None)) == "uncertain"
-    for value, looks in ((0.9, "right"), (0.6, "uncertain"), (0.3, "wrong")):  # of a draft, whatever its distance
-        assert judge(replace(result, probability_looks_right=Probability(value, ""))) == looks
+    for seen, looks in ((0.9, "right"), (0.6, "uncertain"), (0.3, "wrong")):  # of a draft, whatever its distance
+        assert judge(replace(result, probability_looks_right=Probability(seen, ""))) == looks
 
 
 def test_serious_findings_come_first_and_what_does_not_read_is_uncertain(tmp_path: Path) -> None:

@@ -34,8 +34,8 @@ MIN_FRAMES_BEFORE_JUMP = 10
 """Minimum number of frames before a jump for which a draft of them is advised."""
 Word: TypeAlias = Literal["right", "uncertain", "wrong"]
 RIGHT_PROBABILITY, WRONG_PROBABILITY = 0.8, 0.2
-"""Probabilities, of a draft that it looks right, else of its pose in the hand, from which on a result looks right, and up
-to which wrong."""
+"""Probabilities, of a draft that it looks right, else of its pose in the hand, from which on a result looks right, and
+up to which wrong."""
 
 
 def judge(result: Reconstruction) -> Word:
