@@ -27,12 +27,10 @@ from benchmarks.kept_rows import Row
 from benchmarks.probability import stored, write
 from benchmarks.reliability import auroc, calibration_error, fit_weights, least_error
 from benchmarks.timing import circumstances
-from getagrip.bench.pixels.videos import PLAIN
+from getagrip.bench.pixels.videos import PLAIN, interval_holds, is_right_in_image
 from getagrip.checks.calibration import (
     CALIBRATION_FILE,
     LIFTED_KINDS,
-    MAX_ROTATION_DEG,
-    MAX_SHARE_ACROSS,
     Calibration,
     InputKind,
     KeepThresholds,
@@ -97,15 +95,11 @@ def _row(video: str, split: str, name: str, made: Mapping[str, object]) -> Row:
     """Return the row of a draft: its kind of input, findings, features, rank of the first right candidate."""
     found: Row = dict(made)
     said = found["said"]
-    signs, interval = said["signs"], said["distance_interval_mm"]
-    each = found["candidates"]
-    diameter = 100.0 * each[0]["add_mm"] / each[0]["add_percent"]
+    signs, each = said["signs"], found["candidates"]
     right = {
         "hand": found["right_in_hand"] or [],
         "camera": [one["right"] for one in each],
-        "image": [
-            one["rotation_deg"] < MAX_ROTATION_DEG and one["across_mm"] < MAX_SHARE_ACROSS * diameter for one in each
-        ],
+        "image": [is_right_in_image(one) for one in each],
     }
     sensor = {"depth"} if signs["depth-images"] else set[str]()
     return {
@@ -113,7 +107,7 @@ def _row(video: str, split: str, name: str, made: Mapping[str, object]) -> Row:
         "kind": kind_of_input("estimated", sensor, signs["depth-images"], False, True, signs["shape-assumed"] > 0.0),
         "serious": said["serious"], "signs": signs,
         "rank": {where: each.index(True) + 1 if True in each else None for where, each in right.items()},
-        "held": None if interval is None else interval[0] <= found["distance_mm"] <= interval[1],
+        "held": interval_holds(found),
     }  # fmt: skip
 
 

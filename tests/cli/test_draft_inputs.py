@@ -18,7 +18,7 @@ from getagrip.cli.calls import run_call
 from getagrip.cli.import_hands import HandFile
 from getagrip.clip import Clip
 from getagrip.clip.read_arrays import read_hand
-from getagrip.io.images import read_mask, write_mask
+from getagrip.io.images import write_mask
 from getagrip.studio.jobs import CommandCall, NewClipCall
 from getagrip.studio.store.mark_store import Store
 from helpers.environment import Run
@@ -57,7 +57,7 @@ def script(folder: Path, body: str, name: str, monkeypatch: pytest.MonkeyPatch) 
 
 def mark(out: Path, n: int) -> np.ndarray:
     (masks,) = out.glob("draft-*/masks")
-    return np.asarray(read_mask(masks / f"{n + 1:06d}.png", (WIDTH, HEIGHT)).unpacked)
+    return np.asarray(cv2.imread(str(masks / f"{n + 1:06d}.png"), cv2.IMREAD_UNCHANGED))
 
 
 @pytest.mark.slow

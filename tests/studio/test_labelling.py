@@ -125,6 +125,22 @@ def test_settings_that_are_wrong_change_nothing(clicking: Clicking, wrong: Any) 
     assert clicking.state()["settings"] == known == {"mesh": "mug", "size_mm": 95, "frame": 3, "tool": "on"}
 
 
+@pytest.mark.parametrize(
+    "lens",
+    [
+        Lens(K=(300.0, 310.0, 160.0, 120.0)),
+        Lens(K=tuple(np.array([300.0, 310.0, 160.0, 120.0]))),  # as a camera file has them
+        Lens(focal=np.float64(300.0)),
+        Lens(guess_focal=True),
+    ],
+)
+def test_the_camera_of_a_grasp_comes_back(tmp_path: Path, lens: Lens) -> None:
+    with closing(Store(tmp_path / DATABASE)) as store:
+        store.settings.put_lens("a", lens)
+        assert store.settings.lens("a") == lens
+        assert store.settings.lens("b") is None
+
+
 def test_damaged_settings_are_reported(clicking: Clicking, refused: Any) -> None:
     grasp = clicking.about["grasp"]
     for value in ("{", '{"a": 1}', "[" * 100_000):

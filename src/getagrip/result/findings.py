@@ -113,9 +113,8 @@ def describe_looks(right: Probability | None, looks_right: Probability | None) -
     """Say how a result probably looks, by the probability that it looks right, else by that of its pose in the hand."""
     if looks_right is None:
         return "" if right is None else right.by_eye
-    return (
-        f"probably looks {'right' if looks_right.value >= 0.5 else 'wrong'} ({format_probability(looks_right.value)})"
-    )
+    word = "right" if looks_right.value >= 0.5 else "wrong"
+    return f"probably looks {word} ({format_probability(looks_right.value)})"
 
 
 def format_probability(value: float) -> str:

@@ -162,8 +162,9 @@ class VideoBenchmark(Benchmark[VideoScores]):
             "in the camera; right: mean ADD, up to symmetries, below 10 % of the diameter; no result counts as wrong",
             *["landmarks are simulated: the networks were absent"] * simulated,
             "along ray: of the joints' middle, of the object's centre; absolute values for the object",
-            "right but for distance: rotation within 20 degrees, across the ray within 10 % of the diameter; interval "
-            "holds: the result's interval of its distance from the camera, of 90 %",
+            f"right but for distance: rotation within {MAX_ROTATION_DEG:g} degrees, across the ray within "
+            f"{100.0 * MAX_SHARE_ACROSS:g} % of the diameter; interval holds: the result's interval of its distance "
+            "from the camera, of 90 %",
             "interval off: mean distance of first and last frame from the true ones",
             "right kept, first: a kept candidate is right, the result is; said: mean probability in the camera; Brier: "
             "its score",
@@ -194,16 +195,13 @@ def _right(one: VideoScores, name: str, kept: bool = False) -> bool:
     return any(each["right"] for each in found["candidates"]) if kept else bool(found["object"]["right"])
 
 
-def _looks_right(found: Json) -> bool:
-    """Return whether a result is right but for its distance and size."""
-    if "failure" in found:
-        return False
-    one = found["object"]
-    diameter = 100.0 * one["add_mm"] / one["add_percent"]
-    return bool(one["rotation_deg"] < MAX_ROTATION_DEG and one["across_mm"] < MAX_SHARE_ACROSS * diameter)
+def is_right_in_image(errors: Json) -> bool:
+    """Return whether an object with some ``ObjectErrors`` is right but for its distance and size."""
+    diameter = 100.0 * errors["add_mm"] / errors["add_percent"]
+    return bool(errors["rotation_deg"] < MAX_ROTATION_DEG and errors["across_mm"] < MAX_SHARE_ACROSS * diameter)
 
 
-def _interval_holds(found: Json) -> bool | None:
+def interval_holds(found: Json) -> bool | None:
     """Return whether the interval of a result's distance holds the true one; None where it states none."""
     interval = found.get("said", {}).get("distance_interval_mm")
     return None if interval is None else bool(interval[0] <= found["distance_mm"] <= interval[1])
@@ -247,6 +245,6 @@ def _oracle_row(split: str, scores: Sequence[VideoScores], name: str) -> list[st
         _median([abs(each["along_mm"]) for each in made]),
         _median([each["across_mm"] for each in made], ".1f"),
         _median([result.get("mask_iou") for result in results], ".2f"),
-        _mean([_looks_right(result) for result in results]),
-        _mean([_interval_holds(result) for result in results]),
+        _mean(["failure" not in result and is_right_in_image(result["object"]) for result in results]),
+        _mean([interval_holds(result) for result in results]),
     ]

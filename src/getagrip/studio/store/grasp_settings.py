@@ -106,7 +106,9 @@ class SettingStore:
     def put_lens(self, grasp: str, lens: Lens) -> None:
         """Store the camera of a grasp, unless it is stored already."""
         if lens != self.lens(grasp):
-            self.put(grasp, {"lens": asdict(lens)})
+            K, focal = lens.K, lens.focal
+            numbers = {"K": None if K is None else [*map(float, K)], "focal": None if focal is None else float(focal)}
+            self.put(grasp, {"lens": asdict(lens) | numbers})
 
     def newest(self, annotator: str) -> tuple[str, str] | None:
         """Return the task and the grasp at which an annotator was last; None without any."""
