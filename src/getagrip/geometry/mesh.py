@@ -264,8 +264,8 @@ def cluster_vertices(mesh: Mesh, faces: int) -> Mesh:
 
     Vertices in the same cell of a grid become their mean, and faces with two corners in one cell vanish: no vertex
     moves farther than a cell, on smooth surfaces much less. A closed mesh stays closed. Colours are those of a vertex
-    in the cell. A mesh with no more than
-    ``faces`` faces and vertices (a triangle soup has three per face) is returned unchanged.
+    in the cell. A mesh with no more than ``faces`` faces and vertices (a triangle soup has three per face) is returned
+    unchanged.
     """
     if len(mesh.faces) <= faces and len(mesh.vertices) <= faces:
         return mesh
