@@ -43,3 +43,13 @@ def test_serious_findings_come_first_and_what_does_not_read_is_uncertain(tmp_pat
     ]  # fmt: skip
     (folder / "result.npz").write_bytes(b"PK nothing")
     assert describe_result(folder)["verdict"] == "uncertain"
+
+
+def test_the_probability_of_a_draft_leaves_its_distance_out(tmp_path: Path) -> None:
+    plain = replace(RESULT, probability_right=Probability(0.1, ""))
+    draft = replace(plain, probability_looks_right=Probability(0.9, ""))
+    said = [
+        describe_result(write_result(one, tmp_path / name, "", {}, tmp_path))["probability"]
+        for name, one in (("plain", plain), ("draft", draft))
+    ]
+    assert said == ["right with a probability of 10 %", "right but for its distance with a probability of 90 %"]

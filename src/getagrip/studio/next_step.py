@@ -63,10 +63,12 @@ def describe_result(folder: Path) -> dict[str, object]:
     except InputError as error:
         return {"verdict": "uncertain", "probability": "", "findings": [{"serious": True, "message": str(error)}]}
     found = sorted(result.findings, key=lambda finding: not finding.serious)
-    known = result.probability_looks_right or result.probability_right
+    known, of = result.probability_looks_right, "right but for its distance"
+    if known is None:
+        known, of = result.probability_right, "right"
     return {
         "verdict": judge(result),
-        "probability": "" if known is None else format_probability(known.value),
+        "probability": "" if known is None else f"{of} with a probability of {format_probability(known.value)}",
         "findings": [{"serious": finding.serious, "message": finding.message} for finding in found],
     }
 

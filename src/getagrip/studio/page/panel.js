@@ -132,7 +132,7 @@ function drawVerdict(result, page) {
   const { findings } = result, serious = findings.filter((one) => one.serious).length;
   $("verdict").className = result.current ? result.verdict : "old";
   $("verdict-word").textContent = VERDICTS[result.verdict];
-  $("verdict-probability").textContent = result.probability && `right with a probability of ${result.probability}`;
+  $("verdict-probability").textContent = result.probability;
   $("verdict-report").href = page;
   $("outdated").hidden = result.current;
   $("findings").hidden = !findings.length;
