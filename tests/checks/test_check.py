@@ -45,6 +45,21 @@ def test_one_problem_is_reported_once() -> None:
     assert [finding.check for finding in run_checks(both, Evidence(CLIP, MASKS))[1]] == ["poor-mask-fit"]
 
 
+@pytest.mark.parametrize("name", ["object-over-hand", "contact-gap"])
+def test_the_distance_of_a_lifted_hand_is_weighed_and_refuses_nothing(name: str) -> None:
+    """A hand lifted from 2D is centimetres off along the ray; results that are right have this fault."""
+    clip, masks = small_clip()
+    seen = replace(clip.hand, joints_2d=np.zeros((len(clip), 21, 2)), joints_2d_confidence=np.ones((len(clip), 21)))
+    lifted = replace(clip, hand=seen, hand_scale=1.1)
+    for given, serious in ((clip, True), (lifted, False)):
+        finding = CHECKS[name].finding(100.0, Evidence(given, masks))
+        assert finding is not None
+        assert finding.serious == serious
+    other = CHECKS["mask-fit"].finding(0.1, Evidence(lifted, masks))
+    assert other is not None
+    assert other.serious
+
+
 CHECKS = {check.name: check for check in (*INPUT_CHECKS.values(), *RESULT_CHECKS.values(), JUMP_CHECK, FLOATING_CHECK)}
 
 

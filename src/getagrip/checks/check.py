@@ -45,6 +45,8 @@ class Check:
         serious: True if the result is probably worthless; False if it may be right.
         shown: format of values and limits in messages.
         of_shape: True if the object's own mesh, in place of a built-in shape, would remove the fault.
+        of_distance: True if the fault may be the distance between hand and object alone. Beside a hand that was lifted
+            from 2D joints, whose distance is uncertain, it is never serious: the probability weighs it.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Check:
     serious: bool = True
     shown: Callable[[float], str] = "{:.3g}".format
     of_shape: bool = False
+    of_distance: bool = False
 
     @property
     def usual(self) -> str:
@@ -74,6 +77,10 @@ class Check:
             return "not applicable"
         return "usual" if self.is_usual(value) else "serious" if self.serious else "note"
 
+    def is_serious(self, it: Evidence) -> bool:
+        """Return whether the fault makes this result worthless."""
+        return self.serious and not (self.of_distance and it.hand_lifted)
+
     def finding(self, value: float, it: Evidence) -> Finding | None:
         """Return the finding about a measured value; None for usual values."""
         if self.is_usual(value):
@@ -82,7 +89,7 @@ class Check:
         fault = self.fault.format(value=self.shown(value)) if isinstance(self.fault, str) else self.fault(it)
         usual = f" (usual: at {least} {self.shown(limit)})" if limit else ""  # a limit of 0 is obvious
         advice = OWN_MESH_ADVICE if self.of_shape and it.shape_assumed else self.advice
-        return Finding(self.name, self.serious, value, limit, f"{fault}{usual}; {advice}")
+        return Finding(self.name, self.is_serious(it), value, limit, f"{fault}{usual}; {advice}")
 
 
 def run_checks(checks: Iterable[Check], it: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:

@@ -100,6 +100,11 @@ class Evidence:
         return is_assumed(self.clip.provenance.get("mesh"))
 
     @property
+    def hand_lifted(self) -> bool:
+        """True if the hand was lifted from 2D joints, so that its distance is uncertain."""
+        return was_lifted(self.clip)
+
+    @property
     def glitch_share(self) -> float:
         """Fraction of the frames with a tracker glitch; NaN if they were not looked for."""
         return np.nan if self.glitches is None else self.glitches.share
@@ -263,6 +268,12 @@ class Evidence:
         with np.errstate(invalid="ignore"):
             over, under = counts[:, 0] / counts[:, 1]
         return float(over), float(under)
+
+
+def was_lifted(clip: Clip) -> bool:
+    """Return whether a clip's hand was lifted from 2D joints: it has them, and its size is, or was, assumed."""
+    assumed_size = is_assumed(clip.provenance.get("hands_scale")) or clip.hand_scale != 1.0
+    return clip.hand.joints_2d is not None and assumed_size
 
 
 def _subsample_mask(mask: PackedMask, zoom: float, size: tuple[int, int]) -> Bool[ndarray, "h w"]:

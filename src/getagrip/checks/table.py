@@ -222,7 +222,7 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
         "object-over-hand", lambda it: it.in_front[0], high=0.2, shown=format_percent,
         fault="the object is in front of the hand in {value} of the pixels that show the hand",
         advice="hand and object are at the wrong distance: check the sizes of hand and mesh, and the hand's distance "
-        "and side",
+        "and side", of_distance=True,
     ),
     Check(
         "hand-over-object", lambda it: it.in_front[1], high=0.25, serious=False, shown=format_percent,
@@ -238,6 +238,7 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
         "contact-gap", inputs.median_hand_object_gap, high=15.0, shown=format_millimetres,
         fault="hand and object are {value} apart in half of the frames",
         advice="the hand does not hold the object: check the hands' distance from the camera, and try --method one-dof",
+        of_distance=True,
     ),
     Check(
         "penetration", inputs.penetration_depth, high=35.0, serious=False, shown=format_millimetres,

@@ -35,6 +35,7 @@ from getagrip.checks.calibration import (
     Where,
     kind_of_input,
 )
+from getagrip.checks.evidence import was_lifted
 from getagrip.checks.features import was_corrected
 from getagrip.clip import Clip
 from getagrip.fitting.energy.mask import MASK_CROP_SIZE_PX
@@ -202,12 +203,6 @@ def probabilities(
     # No pixel tells a wrong focal length from another distance.
     guessed = is_assumed(clip.provenance.get("camera"))
     return {"hand": in_hand, "camera": None if guessed else in_camera, "image": in_image}
-
-
-def was_lifted(clip: Clip) -> bool:
-    """Return whether a clip's hand was lifted from 2D joints: it has them, and its size is, or was, assumed."""
-    assumed_size = is_assumed(clip.provenance.get("hands_scale")) or clip.hand_scale != 1.0
-    return clip.hand.joints_2d is not None and assumed_size
 
 
 def probability_right(

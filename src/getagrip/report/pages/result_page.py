@@ -54,7 +54,7 @@ from getagrip.report.pictures.panels import (
 from getagrip.report.pictures.result_view import View, angle_curve, candidate_views, result_times
 from getagrip.report.pictures.stored_results import smooth_windows
 from getagrip.result import Reconstruction
-from getagrip.result.findings import format_probability
+from getagrip.result.findings import Finding, format_probability
 
 ARRAY_TYPE_CODES = {"float32": "f", "uint16": "H", "uint32": "I", "uint8": "B"}
 """Types of the arrays in a page, as ``parts/page.js`` reads them."""
@@ -291,7 +291,7 @@ def result_tables(view: View, evaluation: Evaluation, record: Json) -> list[dict
     content = {
         "What the probabilities mean": _key_value_rows(probability_meanings(result)),
         "Metrics (docs/metrics.md)": values,
-        "Checks (docs/checks.md)": _check_rows(result.checks),
+        "Checks (docs/checks.md)": _check_rows(result.checks, result.findings),
         "Energy [px²]": _key_value_rows(result.energy),
         "Time [s]": _key_value_rows(result.seconds),
         "Options": [*_key_value_rows(result.options), ["seed", str(result.seed)]] if result.options else [],
@@ -316,11 +316,12 @@ def unit_of(metric: Metric) -> str:
     return "°" if metric.unit == "deg" else f" {metric.unit}"
 
 
-def _check_rows(checks: Mapping[str, float]) -> list[list[str]]:
+def _check_rows(checks: Mapping[str, float], findings: Sequence[Finding]) -> list[list[str]]:
     """Return the value, the limits and the verdict of each check; of an unknown one the value alone."""
+    found = {finding.check: "serious" if finding.serious else "note" for finding in findings}
     known = {check.name: check for check in (*input_checks(), *result_checks(), JUMP_CHECK)}
     return [
-        [name, "" if np.isnan(value) else check.shown(value), check.usual, check.verdict(value)]
+        [name, "" if np.isnan(value) else check.shown(value), check.usual, found.get(name) or check.verdict(value)]
         if (check := known.get(name)) is not None
         else [name, f"{value:.3g}", "", ""]
         for name, value in checks.items()
