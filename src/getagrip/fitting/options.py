@@ -16,6 +16,7 @@ from getagrip.io.options import Flag, check_values, expand_user_path, explain_fi
 Hands = Literal["corrected", "as-given"]
 MaskUse = Literal["checked", "as-given"]
 MeshUse = Literal["fitted", "as-given"]
+IntervalUse = Literal["firm", "as-given"]
 Init = Literal["uniform", "clusters", "priors", "poses"]
 
 
@@ -114,6 +115,9 @@ class SearchOptions(NamedFields):
     mesh: Annotated[MeshUse, switch("as-given"), arg(name="given-mesh", help_behavior_hint="")] = "fitted"
     """Do not deform the mesh (as-given). By default (fitted) soft-hinge and one-dof deform it if the masks show that it
     is not the object's own."""
+    interval: Annotated[IntervalUse, switch("as-given"), arg(name="given-interval", help_behavior_hint="")] = "firm"
+    """Use all frames (as-given). By default (firm) soft-hinge and one-dof leave out the frames at the ends of a clip in
+    which a hand that was lifted from 2D, as in a draft, does not hold the object firmly."""
     seed: Annotated[int, arg(metavar="S")] = 0
     """Seed of the initial rotations. The same seed gives the same result."""
 
