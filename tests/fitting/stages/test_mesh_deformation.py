@@ -28,6 +28,7 @@ from getagrip.fitting.stages.mesh_deformation import (
 from getagrip.geometry import se3
 from getagrip.geometry.kernels.silhouette import silhouettes, unpack
 from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.profile import N_PROFILE_RADII, Profile
 from getagrip.geometry.warp import Warp
 from getagrip.provenance import Source, assumed
 from getagrip.reconstruct import reconstruct
@@ -84,6 +85,34 @@ def test_sides_of_a_built_in_box_stay_flat(known: bool) -> None:
     points = np.column_stack([mesh.vertices, np.ones(len(mesh.vertices))])
     off = warp(mesh).vertices - points @ np.linalg.lstsq(points, warp(mesh).vertices, rcond=None)[0]
     assert (np.abs(off).max() < 0.004 * mesh.diameter) != known
+
+
+@pytest.mark.parametrize("kind", ["bottle", "glass"])
+def test_the_profile_of_a_body_of_revolution_is_found(kind: str) -> None:
+    """Its radii differ from the built-in shape's by a wave that no stretch and no bend makes."""
+    made = make_scene(kind, 0, SMALL)
+    mesh = made.clip.mesh
+    times = np.exp(0.25 * np.sin(np.linspace(0.0, 2.5 * np.pi, N_PROFILE_RADII)))
+    profile = Profile.of(mesh).widened(times)
+    true = Mesh(profile.moved(mesh.vertices), mesh.faces)
+    masks = ground_truth_masks(replace(made, object=true))
+    guessed = replace(made.clip, scale="free", provenance={"mesh": assumed(f"a {kind}")})
+    warp = shape_at_truth(guessed, masks)
+    assert warp is not None
+    assert warp.profile is not None
+    assert unlike(warp(mesh), true) < 0.35 * unlike(mesh, true)
+    assert shape_at_truth(guessed, ground_truth_masks(made)) is None  # of an object that has the built-in shape
+    measured = shape_at_truth(replace(guessed, provenance={"mesh": Source("a scan")}), masks)
+    assert measured is not None
+    assert measured.profile is None  # of a mesh that somebody gave, even of such a kind
+    assert unlike(warp(mesh), true) < 0.7 * unlike(measured(mesh), true)
+
+
+def test_the_radii_of_a_box_are_no_part_of_its_shape() -> None:
+    clip, masks = scene("box", 0)
+    warp = shape_at_truth(replace(stretched(clip), scale="free", provenance={"mesh": assumed("a box")}), masks)
+    assert warp is not None
+    assert warp.profile is None
 
 
 def test_the_objects_own_mesh_is_kept() -> None:
