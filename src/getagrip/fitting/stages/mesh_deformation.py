@@ -47,7 +47,7 @@ SHAPE_FIT_LEVEL_PX, MAX_SHAPE_ITERATIONS = 128, 12
 STRETCH_SIGMA, BEND_SIGMA = 0.1, 0.05
 """Standard deviations of the prior, of stretches and of all other modes, as displacements at half a diameter from the
 middle [half diameters]."""
-WIDTH_SIGMA, WIDTH_BEND_SIGMA = 0.3, 0.3
+WIDTH_SIGMA, WIDTH_BEND_SIGMA = 0.15, 0.15
 """Standard deviations of the prior on a profile: of the logarithm of each radius over the built-in shape's, and of that
 logarithm's second difference along the axis."""
 SHAPE_PRIOR_WEIGHT = 5.0
