@@ -87,21 +87,28 @@ def test_sides_of_a_built_in_box_stay_flat(known: bool) -> None:
     assert (np.abs(off).max() < 0.004 * mesh.diameter) != known
 
 
-@pytest.mark.parametrize("kind", ["bottle", "glass"])
-def test_the_profile_of_a_body_of_revolution_is_found(kind: str) -> None:
-    """Its radii differ from the built-in shape's by a wave that no stretch and no bend makes."""
+def body_of_another_profile(kind: str) -> tuple[Clip, Masks, Mesh]:
+    """A clip with a built-in shape, the masks of another body, and its mesh.
+
+    Its radii differ from the built-in shape's by a wave that no stretch and no bend makes.
+    """
     made = make_scene(kind, 0, SMALL)
     mesh = made.clip.mesh
     times = np.exp(0.25 * np.sin(np.linspace(0.0, 2.5 * np.pi, N_PROFILE_RADII)))
-    profile = Profile.of(mesh).widened(times)
-    true = Mesh(profile.moved(mesh.vertices), mesh.faces)
-    masks = ground_truth_masks(replace(made, object=true))
+    true = Mesh(Profile.of(mesh).widened(times).moved(mesh.vertices), mesh.faces)
     guessed = replace(made.clip, scale="free", provenance={"mesh": assumed(f"a {kind}")})
-    warp = shape_at_truth(guessed, masks)
+    return guessed, ground_truth_masks(replace(made, object=true)), true
+
+
+@pytest.mark.parametrize("kind", ["bottle", "glass"])
+def test_the_profile_of_a_body_of_revolution_is_found(kind: str) -> None:
+    guessed, masks, true = body_of_another_profile(kind)
+    mesh, warp = guessed.mesh, shape_at_truth(guessed, masks)
     assert warp is not None
     assert warp.profile is not None
     assert unlike(warp(mesh), true) < 0.45 * unlike(mesh, true)
-    assert shape_at_truth(guessed, ground_truth_masks(made)) is None  # of an object that has the built-in shape
+    own = ground_truth_masks(make_scene(kind, 0, SMALL))
+    assert shape_at_truth(guessed, own) is None  # of an object that has the built-in shape
     measured = shape_at_truth(replace(guessed, provenance={"mesh": Source("a scan")}), masks)
     assert measured is not None
     assert measured.profile is None  # of a mesh that somebody gave, even of such a kind
@@ -192,6 +199,20 @@ def test_a_result_has_the_shape_and_says_so(tmp_path: Path, method: str) -> None
     assert true is not None
     assert true.clip.mesh == given.mesh
     assert "shape is a guess" in view.size_in_words
+
+
+@pytest.mark.slow
+def test_a_result_says_that_its_profile_is_fitted(tmp_path: Path) -> None:
+    guessed, masks, true = body_of_another_profile("bottle")
+    result = reconstruct(guessed, masks, Options(inits=6))
+    assert result.warp is not None
+    assert result.warp.profile is not None
+    assert "the profile of its body is fitted: radii of 0." in result.assumptions["shape"]
+    assert unlike(result.warp(guessed.mesh), true) < 0.6 * unlike(guessed.mesh, true)
+    back = read_result(write_result(result, tmp_path / "result"))[0]
+    assert back == result
+    view = View.of(back, guessed, masks)  # of which pictures and exports are made
+    np.testing.assert_array_equal(view.clip.mesh.vertices, result.warp(guessed.mesh).vertices)
 
 
 @pytest.mark.slow
