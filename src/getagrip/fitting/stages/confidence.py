@@ -204,8 +204,8 @@ def probabilities(
         kept = (right and KEEP_THRESHOLDS[kind, where].applied(right) for where, right in found.items())
     in_hand, in_camera, in_image = kept
     if in_image and any(finding.check == UNEXPLAINED_OPENING for finding in findings):
-        value, beyond = min(in_image.value, MAX_PROBABILITY_WITH_OPENING), (UNEXPLAINED_OPENING, *in_image.beyond)
-        in_image = replace(in_image, value=value, beyond=beyond, keep=0.0)
+        value = min(in_image.value, MAX_PROBABILITY_WITH_OPENING)
+        in_image = replace(in_image, value=value, beyond=(UNEXPLAINED_OPENING, *in_image.beyond), keep=0.0)
     # No pixel tells a wrong focal length from another distance.
     guessed = is_assumed(clip.provenance.get("camera"))
     return {"hand": in_hand, "camera": None if guessed else in_camera, "image": in_image}
