@@ -362,6 +362,18 @@ def test_a_draft_is_told_how_probably_it_looks_right_also_with_an_assumed_mesh()
     assert other["image"] is None, "calibrated for lifted hands only"
 
 
+def test_an_opening_that_points_away_forbids_to_look_right() -> None:
+    weights = LIFTED_CALIBRATIONS["soft-hinge", "image"].weights
+    best = {name: weight.high if weight.weight > 0.0 else weight.low for name, weight in weights.items()}
+    clip, away = lifted_clip(assumed("a bowl")), Finding("opening-away", False, 27.0, 15.0, "the opening points away")
+    before, after = (probabilities(clip, Options(), best, some, ()) for some in ((), (away,)))
+    assert describe_looks(None, before["image"]).startswith("probably looks right")
+    assert describe_looks(None, after["image"]).startswith("probably looks wrong")
+    assert after["image"] is not None
+    assert (after["image"].keep, after["image"].beyond[0]) == (0.0, "opening-away")
+    assert (before["hand"], before["camera"]) == (after["hand"], after["camera"])
+
+
 def test_looks_follow_the_probability_that_it_looks_right() -> None:
     extrapolated = Probability(0.5, "", ("assumed mesh",))
     assert describe_looks(None, None) == describe_looks(Probability(0.5, ""), None) == ""

@@ -16,8 +16,11 @@ from hypothesis import strategies as st
 
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
+from getagrip.geometry.profile import N_PROFILE_RADII, Profile
+from getagrip.geometry.warp import Warp
 from getagrip.result import Axis, Candidates, Reconstruction, Status, is_result, read_result, write_result
 from getagrip.result.findings import Probability
+from getagrip.synthetic.objects import bottle
 
 Refused = Callable[..., str]
 
@@ -112,6 +115,12 @@ def test_the_object_in_the_camera_is_known_where_the_hand_is(tmp_path: Path) -> 
         _ = read_result(tmp_path / "older")[0].T_cam_obj
 
 
+def test_a_fitted_profile_is_kept(tmp_path: Path) -> None:
+    profile = Profile.of(bottle()).widened(np.linspace(0.8, 1.3, N_PROFILE_RADII))
+    result = replace(small_result(), warp=Warp.by(np.zeros(3), 0.1, np.full((9, 3), 0.01), profile))
+    assert read_result(write_result(result, tmp_path / "r"))[0].warp == result.warp
+
+
 def test_numbers_that_json_lacks_become_null(tmp_path: Path) -> None:
     metrics = {"nan": float("nan"), "infinite": np.inf, "count": np.int64(3)}
     _, record = read_result(write_result(small_result(), tmp_path / "r", "sum", metrics))
@@ -144,12 +153,25 @@ def edited(folder: Path, arrays: dict[str, object], fields: dict[str, object]) -
 
 EYE = np.tile(np.eye(4), (3, 1, 1))
 SEGMENT = {"state": "grasp", "first": "0000", "last": "0002"}
+WARP: dict[str, object] = {
+    "warp_centre": np.zeros(3),
+    "warp_radius": np.array(0.1),
+    "warp_coefficients": np.zeros((10, 3)),
+    "profile_axis": np.zeros(2),
+    "profile_ends": np.array([0.0, 0.1]),
+    "profile_before": np.full(10, 0.03),
+    "profile_after": np.full(10, 0.04),
+}
 BROKEN: dict[str, tuple[dict[str, object], dict[str, object], str]] = {
     "a warp beyond all shapes": (
         {"warp_centre": np.zeros(3), "warp_radius": np.array(0.1), "warp_coefficients": np.full((10, 3), 1e9)},
         {},
         "result.npz: warp_coefficients",
     ),
+    "a profile upside down": (WARP | {"profile_ends": np.array([0.1, 0.0])}, {}, "result.npz: profile_ends"),
+    "a profile of negative radii": (WARP | {"profile_after": np.full(10, -0.1)}, {}, "result.npz: profile_after"),
+    "a profile of two radii": (WARP | {"profile_before": np.full(2, 0.1)}, {}, "result.npz: profile_before"),
+    "a profile without its axis": (WARP | {"profile_axis": None}, {}, "result.npz: missing profile_axis"),
     "no version": ({}, {"version": None}, "result.json: version"),
     "other version": ({}, {"version": 3}, "result.json: version"),
     "no method": ({}, {"method": None}, "result.json: missing method"),

@@ -32,6 +32,10 @@ SHAPE_ASSUMPTION_NOTE = (
     "the object's shape is an assumption from the masks: no pose of the mesh explains their contours"
 )
 """A note where the mesh was not taken as it is given."""
+PROFILE_ASSUMPTION_NOTE = (
+    SHAPE_ASSUMPTION_NOTE + "; the profile of its body is fitted: radii of {:.3g} to {:.3g} times the built-in shape's"
+)
+"""The note where the radii of a body of revolution were fitted, too."""
 
 RESULT_MISFIT_MESSAGE = "failed: even the best pose has a mean mask IOU of only {:.2f}; the object's pose is unknown"
 """The message of a result whose mean IOU is below ``MIN_MEAN_IOU``, however the minimisation ended."""
@@ -199,7 +203,10 @@ def _list_assumptions(clip: Clip, answer: FrameSolutions) -> dict[str, str]:
     elif clip.scale == "free" and clip.size_sigmas is None:
         guesses["scale"] = SCALE_ASSUMPTION_NOTE.format(scale)
     if answer.warp is not None:
-        guesses["shape"] = SHAPE_ASSUMPTION_NOTE
+        profile, guesses["shape"] = answer.warp.profile, SHAPE_ASSUMPTION_NOTE
+        if profile is not None:
+            times = profile.after / profile.before
+            guesses["shape"] = PROFILE_ASSUMPTION_NOTE.format(times.min(), times.max())
     return guesses
 
 

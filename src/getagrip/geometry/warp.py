@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.profile import Profile
 from getagrip.io.array_data import ArrayData
 
 N_MONOMIALS = 10
@@ -20,25 +21,30 @@ N_MONOMIALS = 10
 class Warp(ArrayData):
     """A smooth deformation of a mesh: ``X' = centre + radius * M(x) @ coefficients``, ``x = (X - centre) / radius``.
 
-    M(x) are the monomials of x up to the second degree, which stretch, shear, taper and bend the mesh.
+    M(x) are the monomials of x up to the second degree, which stretch, shear, taper and bend the mesh. Before that a
+    profile changes the radii of a body of revolution.
 
     Attributes:
         centre: (3,) the point about which x is measured [m].
         radius: the unit of length of x [m].
         coefficients: (10, 3) of 1, x, y, z, xx, xy, xz, yy, yz, zz.
+        profile: the change of the body's radii; None: none.
     """
 
     centre: Float[ndarray, "3"]
     radius: float
     coefficients: Float[ndarray, "10 3"]
+    profile: Profile | None = None
 
     @staticmethod
-    def by(centre: Float[ndarray, "3"], radius: float, displacement: Float[ndarray, "9 3"]) -> Warp:
+    def by(
+        centre: Float[ndarray, "3"], radius: float, displacement: Float[ndarray, "9 3"], profile: Profile | None = None
+    ) -> Warp:
         """Make a warp from ``displacement``: the coefficients of all monomials but 1, relative to the identity."""
         coefficients = np.zeros((N_MONOMIALS, 3))
         coefficients[1:] = displacement
         coefficients[1:4] += np.eye(3)
-        return Warp(centre, radius, coefficients)
+        return Warp(centre, radius, coefficients, profile)
 
     def __call__(self, mesh: Mesh) -> Mesh:
         """Deform a mesh."""
@@ -46,12 +52,18 @@ class Warp(ArrayData):
 
     def moved(self, X: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
         """Return the deformed points [m]."""
-        x = (X - self.centre) / self.radius
+        x = (self._with_profile(X) - self.centre) / self.radius
         return np.asarray(self.centre + self.radius * (monomials(x) @ self.coefficients))
 
+    def _with_profile(self, X: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
+        return X if self.profile is None else self.profile.moved(X)
+
     def expansion(self, X: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
-        """Return the factor by which volume grows at points; negative where the warp turns space inside out."""
-        x = (X - self.centre) / self.radius
+        """Return the factor by which volume grows at points; negative where the warp turns space inside out.
+
+        The profile, which turns nothing inside out, does not count.
+        """
+        x = (self._with_profile(X) - self.centre) / self.radius
         J = np.repeat(self.coefficients[None, 1:4], len(x), axis=0)  # rows: by x, y, z
         for bend, i, j in zip(self.coefficients[4:], *np.triu_indices(3), strict=True):
             J[:, i] += x[:, j, None] * bend

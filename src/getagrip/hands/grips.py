@@ -77,6 +77,7 @@ class CategoryPrior:
         stretch: standard deviation of stretches along x, y and z; None: ``fitting.stages.mesh_deformation``'s.
         bend: standard deviation of other deformations, likewise; small for flat sides.
         opens_up: True for a vessel or bottle: grasps with its opening on the little finger's side are rare.
+        revolved: True for a body of revolution about z, without its handles, whose profile varies.
     """
 
     grips: tuple[Grip, ...]
@@ -85,6 +86,7 @@ class CategoryPrior:
     stretch: float | None = None
     bend: float | None = None
     opens_up: bool = False
+    revolved: bool = False
 
 
 _ROUND_GRIP = Grip("palm", (0, 0, 0), (1, 0, 0), (0, 0, 1))
@@ -105,16 +107,20 @@ CATEGORY_PRIORS: dict[str, CategoryPrior] = {
         spread=0.5,
         stretch=0.2,  # slim, squat or flat
         opens_up=True,
+        revolved=True,
     ),
-    "bowl": CategoryPrior((Grip("pinch", (0.072, 0, 0.055), (-0.25, 0, -1), (1, 0, 0)),), opens_up=True),
-    "can": CategoryPrior((_ROUND_GRIP,), (_ROUND_THUMB_DOWN_GRIP,)),
+    "bowl": CategoryPrior((Grip("pinch", (0.072, 0, 0.055), (-0.25, 0, -1), (1, 0, 0)),), opens_up=True, revolved=True),
+    "can": CategoryPrior((_ROUND_GRIP,), (_ROUND_THUMB_DOWN_GRIP,), revolved=True),
     "cup": CategoryPrior(
         (Grip("pinch", (0.058, 0, 0.042), (-1, 0, 0), (0, -1, 0)),),
         (Grip("pinch", (0, -0.042, 0.055), (0, 0.25, -1), (0, -1, 0)),),  # by the rim
         spread=0.15,
         opens_up=True,
+        revolved=True,
     ),
-    "glass": CategoryPrior((_ROUND_GRIP,), (_ROUND_THUMB_DOWN_GRIP, _rim_grip(0.036, 0.055)), opens_up=True),
+    "glass": CategoryPrior(
+        (_ROUND_GRIP,), (_ROUND_THUMB_DOWN_GRIP, _rim_grip(0.036, 0.055)), opens_up=True, revolved=True
+    ),
     "mug": CategoryPrior(
         (
             Grip("palm", (0.077, 0, 0.05), (-1, 0, 0), (0, 0, 1)),  # by the handle
@@ -123,10 +129,11 @@ CATEGORY_PRIORS: dict[str, CategoryPrior] = {
         (Grip("pinch", (0, -0.039, 0.085), (0, 0.25, -1), (0, -1, 0)),),  # by the rim
         spread=0.15,
         opens_up=True,
+        revolved=True,
     ),
-    "pan": CategoryPrior((_BAR_GRIP,), (_BAR_FROM_BELOW_GRIP,), opens_up=True),
-    "plate": CategoryPrior((Grip("pinch", (0.09, 0, 0.016), (-1, 0, 0), (0, 0, -1)),), spread=0.2),
-    "saucepan": CategoryPrior((_BAR_GRIP,), (_BAR_FROM_BELOW_GRIP,), opens_up=True),
+    "pan": CategoryPrior((_BAR_GRIP,), (_BAR_FROM_BELOW_GRIP,), opens_up=True, revolved=True),
+    "plate": CategoryPrior((Grip("pinch", (0.09, 0, 0.016), (-1, 0, 0), (0, 0, -1)),), spread=0.2, revolved=True),
+    "saucepan": CategoryPrior((_BAR_GRIP,), (_BAR_FROM_BELOW_GRIP,), opens_up=True, revolved=True),
     "box": CategoryPrior(
         (Grip("palm", (0, -0.06, 0), (0, 1, 0), (0, 0, 1)),),
         (Grip("palm", (0, 0, 0.085), (0, 0, -1), (0, 1, 0)),),  # from above
@@ -140,7 +147,7 @@ CATEGORY_PRIORS: dict[str, CategoryPrior] = {
             Grip("palm", (-0.055, 0, -0.01), (1, 0, 0), (0, 0, 1)),  # by the column
         )
     ),
-    "kettle": CategoryPrior((Grip("palm", (0.127, 0, 0.085), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
+    "kettle": CategoryPrior((Grip("palm", (0.127, 0, 0.085), (-1, 0, 0), (0, 0, 1)),), opens_up=True, revolved=True),
     "ketchup": CategoryPrior((Grip("palm", (0, 0, 0.02), (1, 0, 0), (0, 0, 1)),)),
     "laptop": CategoryPrior((Grip("pinch", (0.1, 0, 0), (-1, 0, 0), (0, 0, -1)),), spread=0.15, bend=0.005),
     "microwave": CategoryPrior((Grip("palm", (0.151, 0.078, 0), (-1, -0.35, 0), (0, 0, 1)),)),
@@ -151,7 +158,7 @@ CATEGORY_PRIORS: dict[str, CategoryPrior] = {
     "spoon": CategoryPrior((Grip("pinch", (-0.06, 0, 0.009), (1, 0, 0), (0, 0, -1)),)),
     "waffle_iron": CategoryPrior((_BAR_GRIP,), (_BAR_FROM_BELOW_GRIP,)),
     "book": CategoryPrior((Grip("pinch", (0.06, 0, 0), (-1, 0, 0), (0, 0, -1)),), spread=0.4, bend=0.005),
-    "jar": CategoryPrior((_ROUND_GRIP,), spread=0.4, stretch=0.2),
-    "pitcher": CategoryPrior((Grip("palm", (0.102, 0, 0.1), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
+    "jar": CategoryPrior((_ROUND_GRIP,), spread=0.4, stretch=0.2, revolved=True),
+    "pitcher": CategoryPrior((Grip("palm", (0.102, 0, 0.1), (-1, 0, 0), (0, 0, 1)),), opens_up=True, revolved=True),
 }
 """Priors of the nine categories of EPIC-Grasps, ARCTIC's categories, and others."""

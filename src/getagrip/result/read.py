@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from getagrip.errors import InputError, check_arguments
 from getagrip.geometry import se3
+from getagrip.geometry.profile import N_PROFILE_RADII, Profile
 from getagrip.geometry.warp import N_MONOMIALS, Warp
 from getagrip.io import arrays, files
 from getagrip.io.files import Json
@@ -24,7 +25,7 @@ from getagrip.result.result import (
     Status,
     read_segments,
 )
-from getagrip.result.write import AXIS_ARRAYS, RESULT_VERSION, WARP_ARRAYS
+from getagrip.result.write import AXIS_ARRAYS, PROFILE_ARRAYS, RESULT_VERSION, WARP_ARRAYS
 
 MIN_MESH_SCALE, MAX_MESH_SCALE = 1e-15, 1e4
 """Bounds of a mesh's scale; a free scale may end near 0."""
@@ -33,7 +34,7 @@ MAX_WARP_COEFFICIENT = 10.0
 RESULT_ARRAYS = (
     "T_hand_obj", "T_cam_hand", "T_cam_other_hand", "scale", "frames", "frame_kind", "iou", *AXIS_ARRAYS,
     "candidate_T_hand_obj", "candidate_scale", "candidate_energy", "hand_scale", "hand_covariance", "hand_alternatives",
-    *WARP_ARRAYS,
+    *WARP_ARRAYS, *PROFILE_ARRAYS,
 )  # fmt: skip
 """Arrays of ``result.npz``."""
 RESULT_DEFAULTS: Json = {
@@ -266,7 +267,21 @@ def _read_warp(path: Path, stored: dict[str, ndarray]) -> Warp:
     centre, radius, factors = WARP_ARRAYS
     coefficients = arrays.floats(path, stored, factors, (N_MONOMIALS, 3))
     _check_range(path, factors, coefficients, -MAX_WARP_COEFFICIENT, MAX_WARP_COEFFICIENT)
-    return Warp(_read_point(path, stored, centre), float(_read_scales(path, stored, radius, ())), coefficients)
+    profile = _read_profile(path, stored) if any(key in stored for key in PROFILE_ARRAYS) else None
+    return Warp(_read_point(path, stored, centre), float(_read_scales(path, stored, radius, ())), coefficients, profile)
+
+
+def _read_profile(path: Path, stored: dict[str, ndarray]) -> Profile:
+    """Read the radii of a body of revolution, before and after the fit."""
+    axis, ends, before, after = PROFILE_ARRAYS
+    places = [
+        _check_range(path, key, arrays.floats(path, stored, key, (2,)), -MAX_RESULT_DISTANCE_M, MAX_RESULT_DISTANCE_M)
+        for key in (axis, ends)
+    ]
+    if not places[1][0] < places[1][1]:
+        raise InputError(path, ends, files.shorten_value(places[1].tolist()), "the lower end, then the upper one [m]")
+    radii = (_read_scales(path, stored, key, (N_PROFILE_RADII,)) for key in (before, after))
+    return Profile(*places, *radii)
 
 
 def _read_point(path: Path, stored: dict[str, ndarray], key: str) -> Float[ndarray, "3"]:

@@ -21,6 +21,7 @@ RESULT_FILES = ("result.json", "result.npz")
 """Files of a result's folder."""
 AXIS_ARRAYS = ("axis_point", "axis_direction", "angle")
 WARP_ARRAYS = ("warp_centre", "warp_radius", "warp_coefficients")
+PROFILE_ARRAYS = ("profile_axis", "profile_ends", "profile_before", "profile_after")
 """Arrays of ``result.npz`` that are all present or all missing."""
 
 
@@ -85,6 +86,8 @@ def _result_arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
     if result.warp is not None:
         warp = result.warp
         out |= dict(zip(WARP_ARRAYS, (warp.centre, np.array(warp.radius), warp.coefficients), strict=True))
+        if (body := warp.profile) is not None:
+            out |= dict(zip(PROFILE_ARRAYS, (body.axis, body.ends, body.before, body.after), strict=True))
     if result.axis is not None:
         axis = result.axis
         out |= {"axis_point": axis.point, "axis_direction": axis.direction, "angle": axis.angle}

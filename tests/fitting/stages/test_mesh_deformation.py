@@ -28,6 +28,7 @@ from getagrip.fitting.stages.mesh_deformation import (
 from getagrip.geometry import se3
 from getagrip.geometry.kernels.silhouette import silhouettes, unpack
 from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.profile import N_PROFILE_RADII, Profile
 from getagrip.geometry.warp import Warp
 from getagrip.provenance import Source, assumed
 from getagrip.reconstruct import reconstruct
@@ -84,6 +85,41 @@ def test_sides_of_a_built_in_box_stay_flat(known: bool) -> None:
     points = np.column_stack([mesh.vertices, np.ones(len(mesh.vertices))])
     off = warp(mesh).vertices - points @ np.linalg.lstsq(points, warp(mesh).vertices, rcond=None)[0]
     assert (np.abs(off).max() < 0.004 * mesh.diameter) != known
+
+
+def body_of_another_profile(kind: str) -> tuple[Clip, Masks, Mesh]:
+    """A clip with a built-in shape, the masks of another body, and its mesh.
+
+    Its radii differ from the built-in shape's by a wave that no stretch and no bend makes.
+    """
+    made = make_scene(kind, 0, SMALL)
+    mesh = made.clip.mesh
+    times = np.exp(0.25 * np.sin(np.linspace(0.0, 2.5 * np.pi, N_PROFILE_RADII)))
+    true = Mesh(Profile.of(mesh).widened(times).moved(mesh.vertices), mesh.faces)
+    guessed = replace(made.clip, scale="free", provenance={"mesh": assumed(f"a {kind}")})
+    return guessed, ground_truth_masks(replace(made, object=true)), true
+
+
+@pytest.mark.parametrize("kind", ["bottle", "glass"])
+def test_the_profile_of_a_body_of_revolution_is_found(kind: str) -> None:
+    guessed, masks, true = body_of_another_profile(kind)
+    mesh, warp = guessed.mesh, shape_at_truth(guessed, masks)
+    assert warp is not None
+    assert warp.profile is not None
+    assert unlike(warp(mesh), true) < 0.45 * unlike(mesh, true)
+    own = ground_truth_masks(make_scene(kind, 0, SMALL))
+    assert shape_at_truth(guessed, own) is None  # of an object that has the built-in shape
+    measured = shape_at_truth(replace(guessed, provenance={"mesh": Source("a scan")}), masks)
+    assert measured is not None
+    assert measured.profile is None  # of a mesh that somebody gave, even of such a kind
+    assert unlike(warp(mesh), true) < 0.7 * unlike(measured(mesh), true)
+
+
+def test_the_radii_of_a_box_are_no_part_of_its_shape() -> None:
+    clip, masks = scene("box", 0)
+    warp = shape_at_truth(replace(stretched(clip), scale="free", provenance={"mesh": assumed("a box")}), masks)
+    assert warp is not None
+    assert warp.profile is None
 
 
 def test_the_objects_own_mesh_is_kept() -> None:
@@ -163,6 +199,20 @@ def test_a_result_has_the_shape_and_says_so(tmp_path: Path, method: str) -> None
     assert true is not None
     assert true.clip.mesh == given.mesh
     assert "shape is a guess" in view.size_in_words
+
+
+@pytest.mark.slow
+def test_a_result_says_that_its_profile_is_fitted(tmp_path: Path) -> None:
+    guessed, masks, true = body_of_another_profile("bottle")
+    result = reconstruct(guessed, masks, Options(inits=6))
+    assert result.warp is not None
+    assert result.warp.profile is not None
+    assert "the profile of its body is fitted: radii of 0." in result.assumptions["shape"]
+    assert unlike(result.warp(guessed.mesh), true) < 0.6 * unlike(guessed.mesh, true)
+    back = read_result(write_result(result, tmp_path / "result"))[0]
+    assert back == result
+    view = View.of(back, guessed, masks)  # of which pictures and exports are made
+    np.testing.assert_array_equal(view.clip.mesh.vertices, result.warp(guessed.mesh).vertices)
 
 
 @pytest.mark.slow

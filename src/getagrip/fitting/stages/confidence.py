@@ -72,6 +72,9 @@ HAND_ALTERNATIVE_DISTANCE = 0.14
 training clips."""
 UNCALIBRATED_DEPTH_FINDINGS = "depth-elsewhere", "depth-misfit", "depth-warped"
 """Findings that nearly no result of the calibration had: with them no fraction of right results can be promised."""
+UNEXPLAINED_OPENING, MAX_PROBABILITY_WITH_OPENING = "opening-away", 0.25
+"""A finding with which no result may be said to look right, and the most probability that it leaves: vessels are seen
+from above. The calibration has no such results; on two videos, both were tilted wrongly."""
 ESTIMATED_HAND_SPREAD_M = 0.03
 """Standard deviation of an object in an estimated hand that was not solved with it [m], as measured (docs/datasets.md).
 """
@@ -200,6 +203,9 @@ def probabilities(
     else:
         kept = (right and KEEP_THRESHOLDS[kind, where].applied(right) for where, right in found.items())
     in_hand, in_camera, in_image = kept
+    if in_image and any(finding.check == UNEXPLAINED_OPENING for finding in findings):
+        value = min(in_image.value, MAX_PROBABILITY_WITH_OPENING)
+        in_image = replace(in_image, value=value, beyond=(UNEXPLAINED_OPENING, *in_image.beyond), keep=0.0)
     # No pixel tells a wrong focal length from another distance.
     guessed = is_assumed(clip.provenance.get("camera"))
     return {"hand": in_hand, "camera": None if guessed else in_camera, "image": in_image}

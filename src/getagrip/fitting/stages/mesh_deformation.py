@@ -25,6 +25,7 @@ from getagrip.fitting.objective import MASK_STEP_PX, MIN_CURVATURE_DISTANCE_PX
 from getagrip.fitting.problem import Problem
 from getagrip.fitting.solver.category_prior import unmeasured_kind
 from getagrip.fitting.solver.solve import CURVATURE_FLOOR, jacobian_in_camera, minimise, poses_in_camera
+from getagrip.geometry.profile import Profile
 from getagrip.geometry.warp import Warp, remove_similarity
 from getagrip.least_squares import BlockArrow
 
@@ -46,6 +47,9 @@ SHAPE_FIT_LEVEL_PX, MAX_SHAPE_ITERATIONS = 128, 12
 STRETCH_SIGMA, BEND_SIGMA = 0.1, 0.05
 """Standard deviations of the prior, of stretches and of all other modes, as displacements at half a diameter from the
 middle [half diameters]."""
+WIDTH_SIGMA, WIDTH_BEND_SIGMA = 0.15, 0.15
+"""Standard deviations of the prior on a profile: of the logarithm of each radius over the built-in shape's, and of that
+logarithm's second difference along the axis."""
 SHAPE_PRIOR_WEIGHT = 5.0
 """Energy of one standard deviation in each frame, times 1/2 [px^2]. Between 2 and 20 little changes; 200 is too stiff.
 """
@@ -92,17 +96,17 @@ class _ShapeState:
     """Hypotheses with a shape each (``least_squares.State``)."""
 
     motion: Soft[Fixed]
-    weights: Float[ndarray, "B 24"]
-    """Weights of the modes."""
+    weights: Float[ndarray, "B M"]
+    """Weights of the modes of the warp; then, of a body of revolution, the logarithms of the factors on its radii."""
     term: MaskByShape
-    stiffness: Float[ndarray, "24 24"]
+    stiffness: Float[ndarray, "M M"]
     T_cam_hand: Float[ndarray, "N 4 4"]
 
     def __post_init__(self) -> None:
-        shapes = (self.weights @ DEFORMATION_MODES).reshape(-1, 9, 3)
-        value, g, H = self.term(poses_in_camera(self.motion, self.T_cam_hand), shapes)
-        by = np.zeros((7 + len(DEFORMATION_MODES), 7 + N_SHAPE_PARAMETERS))
-        by[:7, :7], by[7:, 7:] = np.eye(7), DEFORMATION_MODES
+        warps, widths = np.split(self.weights, [len(DEFORMATION_MODES)], axis=1)
+        shapes = (warps @ DEFORMATION_MODES).reshape(-1, 9, 3)
+        value, g, H = self.term(poses_in_camera(self.motion, self.T_cam_hand), shapes, widths)
+        by = _block_diagonal(np.eye(7), DEFORMATION_MODES, np.eye(self.term.radii))
         self.g, self.H = g @ by.T, by @ H @ by.T
         self.pull = self.weights @ self.stiffness
         prior = self.motion.prior().value + 0.5 * np.sum(self.pull * self.weights, axis=1)
@@ -116,7 +120,7 @@ class _ShapeState:
         motion, weights = self.motion.take(active), self.weights[active]
         J_shared, J_local = motion.jacobian()
         B, N, _, S = J_shared.shape
-        M, L, prior = len(DEFORMATION_MODES), J_local.shape[-1], motion.prior()
+        M, L, prior = weights.shape[1], J_local.shape[-1], motion.prior()
         seen = jacobian_in_camera(J_shared, J_local, self.T_cam_hand)
         J = np.zeros((B, N, 7 + M, S + M + L))
         J[..., :7, :S], J[..., 7:, S : S + M], J[..., :7, S + M :] = seen[..., :S], np.eye(M), seen[..., S:]
@@ -154,21 +158,42 @@ def fit_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], m
     stretch = STRETCH_SIGMA if kind is None or kind.stretch is None else kind.stretch
     bend = BEND_SIGMA if kind is None or kind.bend is None else kind.bend
     T_cam_hand = problem.clip.hand.T_cam_hand[index]
-    stiffness = len(index) * _shape_stiffness(stretch, bend, problem.clip.scale == "known")
+    stiffness = _shape_stiffness(stretch, bend, problem.clip.scale == "known")
+    body = Profile.of(mesh) if kind is not None and kind.revolved else None
+    if body is not None:
+        stiffness = _block_diagonal(stiffness, profile_stiffness(len(body.before)))
+    stiffness *= len(index)
     mask = MaskTerm(SilhouetteMesh.of(coarse, mesh.centre), *seen)
-    by_shape = MaskByShape(coarse, mesh.centre, radius, *seen)
+    by_shape = MaskByShape(coarse, mesh.centre, radius, *seen, body)
     undeformed = minimise(motion, [mask], T_cam_hand, MAX_SHAPE_ITERATIONS)
-    start = np.zeros((len(undeformed.energy), len(DEFORMATION_MODES)))
+    start = np.zeros((len(undeformed.energy), len(stiffness)))
     begun = _ShapeState(undeformed.motion, start, by_shape, stiffness, T_cam_hand)
     warped = least_squares.minimise(begun, MAX_SHAPE_ITERATIONS).state
     best = int(warped.cost.argmin())
     if not warped.cost[best] < MAX_SHAPE_ENERGY_RATIO * undeformed.energy.min():
         return None
-    warp = Warp.by(mesh.centre, radius, (warped.weights[best] @ DEFORMATION_MODES).reshape(9, 3))
+    warps, widths = np.split(warped.weights[best], [len(DEFORMATION_MODES)])
+    warp = by_shape.warp((warps @ DEFORMATION_MODES).reshape(9, 3), widths)
     if warp.expansion(mesh.vertices).min() < MIN_WARP_EXPANSION:
         return None
     shape = remove_similarity(warp, mesh, resize=problem.clip.scale == "free")[0]
     return shape if shape.displacement(mesh) > MIN_DEFORMATION_DIAMETERS * mesh.diameter else None
+
+
+def _block_diagonal(*blocks: Float[ndarray, "_ _"]) -> Float[ndarray, "m n"]:
+    """Return the matrix with these blocks along its diagonal, and zeros outside them."""
+    out = np.zeros(np.sum([block.shape for block in blocks], axis=0))
+    row = column = 0
+    for block in blocks:
+        out[row : row + block.shape[0], column : column + block.shape[1]] = block
+        row, column = row + block.shape[0], column + block.shape[1]
+    return out
+
+
+def profile_stiffness(radii: int) -> Float[ndarray, "k k"]:
+    """Return the stiffness of the logarithms of a profile's radii in each frame [px^2]."""
+    bend = np.diff(np.eye(radii), 2, axis=0)
+    return SHAPE_PRIOR_WEIGHT * (np.eye(radii) / WIDTH_SIGMA**2 + bend.T @ bend / WIDTH_BEND_SIGMA**2)
 
 
 def _shape_stiffness(stretch: float, bend: float, size_known: bool) -> Float[ndarray, "24 24"]:
