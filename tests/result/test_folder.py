@@ -173,7 +173,7 @@ BROKEN: dict[str, tuple[dict[str, object], dict[str, object], str]] = {
     "a profile of two radii": (WARP | {"profile_before": np.full(2, 0.1)}, {}, "result.npz: profile_before"),
     "a profile without its axis": (WARP | {"profile_axis": None}, {}, "result.npz: missing profile_axis"),
     "no version": ({}, {"version": None}, "result.json: version"),
-    "other version": ({}, {"version": 3}, "result.json: version"),
+    "other version": ({}, {"version": 4}, "result.json: version"),
     "no method": ({}, {"method": None}, "result.json: missing method"),
     "clip a path": ({}, {"clip": "../x"}, "result.json: clip"),
     "seed a text": ({}, {"seed": "7"}, "result.json: seed"),

@@ -15,7 +15,7 @@ from getagrip.errors import check_arguments, replace_surrogates
 from getagrip.io import arrays, files, plugins
 from getagrip.result.result import Reconstruction
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 """Version of written results; older ones can be read."""
 RESULT_FILES = ("result.json", "result.npz")
 """Files of a result's folder."""
