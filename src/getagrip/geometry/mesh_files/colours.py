@@ -15,7 +15,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from getagrip.errors import InputError
-from getagrip.geometry.mesh_files.ply import parse_ply_colours
+from getagrip.geometry.mesh_files.ply import names_ply_colours, parse_ply_colours
 from getagrip.io import files
 
 MAX_TEXTURED_BYTES, MAX_TEXTURE_SIDE_PX = 64 * 2**20, 8192
@@ -35,6 +35,14 @@ def parse_colours(path: Path) -> ColouredPoints | None:
         return None
     found = parse_ply_colours(path, files.strip_byte_order_mark(files.read_bytes(path, MAX_TEXTURED_BYTES * 2)))
     return None if found is None or not np.isfinite(found[0]).all() or not len(found[0]) else ColouredPoints(*found)
+
+
+def has_colours(path: Path) -> bool:
+    """Return whether ``read_mesh`` finds colours in a file: that of a .ply file's vertices."""
+    if path.suffix.lower() != ".ply":
+        return False
+    with path.open("rb") as file:
+        return names_ply_colours(file.read(2**16))
 
 
 def names_texture(path: Path) -> bool:
