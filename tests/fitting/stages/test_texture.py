@@ -10,6 +10,7 @@ import pytest
 
 import getagrip
 from getagrip.clip import Clip, Masks
+from getagrip.fitting.hand.hand_error_model import SolvedHand
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem, prepare_problem
@@ -19,8 +20,8 @@ from getagrip.geometry.mesh import Mesh, subdivide_surface
 from getagrip.geometry.rasterize import depth_and_face, interpolate_vertex_values
 
 
-def textured_clip(seed: int) -> tuple[Clip, Masks]:
-    clip, masks = getagrip.synthesise("box", seed=seed)
+def textured_clip(seed: int, kind: str = "box") -> tuple[Clip, Masks]:
+    clip, masks = getagrip.synthesise(kind, seed=seed)
     vertices, faces = subdivide_surface(clip.mesh.vertices, clip.mesh.faces, clip.mesh.diameter / 40)
     rng = np.random.default_rng(seed)
     waves = np.sin(vertices @ rng.normal(0.0, 25.0 / clip.mesh.diameter, (3, 3)) + rng.uniform(0.0, 6.0, 3))
@@ -55,14 +56,24 @@ def test_a_box_turned_by_half_is_turned_back_in_any_light(tmp_path: Path, gain: 
     problem, found = fitted(*textured_clip(0), tmp_path / "clip", gain)
     assert problem.clip.truth is not None
     true = problem.clip.truth.T_cam_obj[:, :3, :3]
-    starts = found, turned(problem, found)
+    hand = SolvedHand(problem.clip.hand.T_cam_hand, np.eye(6), {}, np.nan)
+    starts = found, turned(problem, replace(found, hand=hand))
     preferred = [prefer_texture(problem, start) for start in starts]
     for back in preferred:
         R = problem.clip.hand.T_cam_hand[:, :3, :3] @ back.poses.R[0]
         assert np.degrees(se3.angle_between(R, true)).max() < 20.0
         assert back.energy[0] == back.energy.min()
         assert back.texture.against == 0.0
+    assert preferred[1].hand is hand
     assert max(back.texture.gain for back in preferred) > 10.0
+
+
+def test_the_angle_of_a_can_about_its_axis_is_found(tmp_path: Path) -> None:
+    problem, found = fitted(*textured_clip(0, "can"), tmp_path / "clip", 1.0)
+    assert problem.clip.truth is not None
+    back = prefer_texture(problem, found)
+    R = problem.clip.hand.T_cam_hand[:, :3, :3] @ back.poses.R[0]
+    assert np.degrees(se3.angle_between(R, problem.clip.truth.T_cam_obj[:, :3, :3])).mean() < 15.0
 
 
 def test_plain_and_other_colours_change_nothing(tmp_path: Path) -> None:
