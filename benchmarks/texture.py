@@ -51,8 +51,8 @@ REFIT = 128, 8
 """Resolution [px] and iterations of the fit of a turned pose."""
 COLUMNS = (
     store.Column("results", "results"),
-    store.Column("before", "front and back right before", "%", 0, "highest"),
-    store.Column("after", "after", "%", 0, "highest"),
+    store.Column("before", "front and back right before", "%"),
+    store.Column("after", "after", "%"),
     store.Column("mended", "mended"),
     store.Column("lost", "lost"),
     store.Column("contradicted", "contradicted"),

@@ -61,11 +61,13 @@ class TextureVote:
         correlation: of its colours with those of the images.
         gain: nats by which it prefers the result to the pose that masks alone prefer; 0 where these are one.
         against: nats by which it prefers another pose to the result; 0 where it prefers the result.
+        unread: number of images that do not read, and were not compared.
     """
 
     correlation: float = np.nan
     gain: float = np.nan
     against: float = np.nan
+    unread: int = 0
 
 
 @dataclass(frozen=True, eq=False)

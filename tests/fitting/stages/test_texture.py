@@ -10,6 +10,7 @@ import pytest
 
 import getagrip
 from getagrip.clip import Clip, Masks
+from getagrip.fitting.evidence.texture import TEXTURE_KEY
 from getagrip.fitting.hand.hand_error_model import SolvedHand
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
@@ -86,3 +87,8 @@ def test_plain_and_other_colours_change_nothing(tmp_path: Path) -> None:
         assert np.array_equal(same.poses.R, wrong.poses.R)
         assert not same.texture.gain > 0.0
         assert not same.texture.against > 0.0
+    for path in problem.clip.evidence[TEXTURE_KEY].paths:  # type: ignore[union-attr]
+        path.write_bytes(b"no image")
+    unread = prefer_texture(problem, wrong)
+    assert np.array_equal(unread.poses.R, wrong.poses.R)
+    assert unread.texture.unread > 1

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
-from getagrip.checks import Check
+from getagrip.checks import Check, Evidence
 from getagrip.clip import Clip, Modality
 from getagrip.clip.clip import find_image
 from getagrip.clip.read import read_header
@@ -19,6 +19,9 @@ from getagrip.io import files
 
 TEXTURE_KEY = "texture"
 """Name of the modality."""
+MIN_RELATED_CORRELATION, MIN_COLOUR_SPREAD = 0.15, 20.0
+"""Correlation below which the images show other colours than the mesh, and standard deviation of a mesh's colours, 0 to
+255, from which on these are looked for. Assumed."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,13 @@ def reads_images(folder: Path) -> bool:
     return not fields.get("segments") and has_colours(files.inside(folder, fields["mesh"], "mesh", "a mesh"))
 
 
+def texture_correlation(it: Evidence) -> float:
+    """Return the correlation of the mesh's colours with those of the images; NaN where these are nearly plain."""
+    colours = it.clip.mesh.colours
+    spread = 0.0 if colours is None else float(colours.std(axis=0).max())
+    return it.texture.correlation if spread >= MIN_COLOUR_SPREAD else np.nan
+
+
 class Texture(Modality[FrameImages]):
     """The colours of the images, of a mesh that has its own."""
 
@@ -57,6 +67,16 @@ class Texture(Modality[FrameImages]):
             "texture-turned", lambda it: it.texture.gain, high=0.0, serious=False,
             fault="the mesh's texture chose another pose than the masks, by {value} nats",
             advice="compare its texture with the images",
+        ),
+        Check(
+            "texture-elsewhere", texture_correlation, low=MIN_RELATED_CORRELATION, serious=False,
+            fault="the images do not show the mesh's texture: their colours correlate by {value}",
+            advice="check that the texture is this object's; if so, the pose is wrong, or the images are dim or blurry",
+        ),
+        Check(
+            "texture-unread", lambda it: float(it.texture.unread), high=0.0, serious=False,
+            fault="{value} images do not read, and were not compared with the mesh's texture",
+            advice="open the images in frames",
         ),
         Check(
             "texture-contradicts", lambda it: it.texture.against, high=10.0,

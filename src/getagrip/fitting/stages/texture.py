@@ -100,9 +100,10 @@ def prefer_texture(problem: Problem, found: MethodResult) -> MethodResult:
     The problem is as found, so that a hand that was solved with the object stays as it is. Solutions that texture
     finds less probable than the first have more energy. Unchanged are results where mesh or images have no colours.
     """
-    images, mesh = _seen_frames(problem), decimate(problem.clip.mesh, MAX_TEXTURE_FACES)
-    if not images or mesh.colours is None or found.motion is None or found.energy_of is None:
-        return found
+    images, unread = _seen_frames(problem)
+    if not images or found.motion is None or found.energy_of is None:
+        return replace(found, texture=TextureVote(unread=unread))
+    mesh = decimate(problem.clip.mesh, MAX_TEXTURE_FACES)
     motion, T_cam_hand = found.motion, problem.clip.hand.T_cam_hand
     turns = _look_alike_turns(problem, found)
     energy, frames = found.energy_of(problem), np.arange(len(problem.clip))
@@ -134,7 +135,7 @@ def prefer_texture(problem: Problem, found: MethodResult) -> MethodResult:
     turned = se3.angle_between(voted.motion.poses().R[best], voted.motion.poses().R).mean(axis=-1) > MIN_TURN_RAD
     others = turned & (voted.correlation >= MIN_CORRELATION)
     against = np.max(nats[others], initial=nats[best]) - nats[best]
-    vote = TextureVote(float(voted.correlation[best]), float(nats[best] - nats[0]), float(against))
+    vote = TextureVote(float(voted.correlation[best]), float(nats[best] - nats[0]), float(against), unread)
     chosen = found
     if best:
         last = minimise(
@@ -183,11 +184,11 @@ def _spread_poses(voted: _Votes, axis: Float[ndarray, "3"]) -> Int[ndarray, "n"]
     return np.array(kept[:MAX_SPUN_POSES])
 
 
-def _seen_frames(problem: Problem) -> list[_Seen]:
-    """Read the images of some frames; those that are missing or do not read are left out: a pose needs none."""
-    clip, images, out = problem.clip, problem.clip.evidence.get(TEXTURE_KEY), list[_Seen]()
+def _seen_frames(problem: Problem) -> tuple[list[_Seen], int]:
+    """Read the images of some frames that have one, and count those that do not read."""
+    clip, images, out, unread = problem.clip, problem.clip.evidence.get(TEXTURE_KEY), list[_Seen](), 0
     if not isinstance(images, FrameImages) or clip.mesh.colours is None:
-        return out
+        return out, unread
     for n in frame_indices(len(clip), N_TEXTURE_FRAMES):
         shown = problem.masks.object[n] & ~problem.masks.ignore[n]
         rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
@@ -195,7 +196,8 @@ def _seen_frames(problem: Problem) -> list[_Seen]:
             continue
         try:
             image = read_image(path, clip.size)
-        except InputError:
+        except InputError:  # a pose needs no images
+            unread += 1
             continue
         top, left, bottom, right = rows[0], columns[0], rows[-1] + 1, columns[-1] + 1
         zoom = min(1.0, TEXTURE_SIDE_PX / max(bottom - top, right - left))
@@ -208,7 +210,7 @@ def _seen_frames(problem: Problem) -> list[_Seen]:
         K[:2, 2] -= left, top
         K[:2] *= np.array([size[0] / (right - left), size[1] / (bottom - top)])[:, None]
         out.append(_Seen(int(n), K, mask > 0.99, _without_light(seen, mask > 0.99)))
-    return out
+    return out, unread
 
 
 def _compare(
