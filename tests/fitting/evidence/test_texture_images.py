@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from getagrip.checks import Evidence, run_checks
+from getagrip.checks.evidence import TextureVote
 from getagrip.clip import Clip, Segment, input_sha256, read_clip, with_evidence, write_clip
-from getagrip.fitting.evidence.texture import TEXTURE_KEY, reads_images
+from getagrip.fitting.evidence.texture import TEXTURE_KEY, Texture, reads_images
 from getagrip.io.images import write_image
 from helpers.clips import small_clip
 
@@ -40,3 +42,20 @@ def test_the_checksum_depends_on_images_where_they_are_evidence(tmp_path: Path) 
         read = with_evidence(read_clip(tmp_path / name))
         assert (read.evidence[TEXTURE_KEY] is not None) == evidence
         assert read.take(np.array([1])).frames == clip.frames[1:2]
+
+
+def test_a_pose_that_texture_contradicts_is_serious_and_an_unrelated_texture_a_note() -> None:
+    clip, masks = small_clip()
+    colours = np.random.default_rng(0).integers(0, 256, clip.mesh.vertices.shape).astype(np.uint8)
+    clip = replace(clip, mesh=replace(clip.mesh, colours=colours))
+    for vote, names in {
+        TextureVote(0.5, 0.0, 0.0): {},
+        TextureVote(0.5, 0.0, 20.0): {"texture-contradicts": True},
+        TextureVote(0.5, 20.0, 0.0): {"texture-turned": False},
+        TextureVote(0.05, 0.0, 0.0): {"texture-elsewhere": False},
+        TextureVote(unread=2): {"texture-unread": False},
+    }.items():
+        _, findings = run_checks(Texture.result_checks, Evidence(clip, masks, texture=vote))
+        assert {finding.check: finding.serious for finding in findings} == names
+    plain = replace(clip, mesh=replace(clip.mesh, colours=np.full_like(colours, 9)))
+    assert not run_checks(Texture.result_checks, Evidence(plain, masks, texture=TextureVote(0.05, 0.0, 0.0)))[1]
