@@ -148,10 +148,8 @@ def prefer_texture(problem: Problem, found: MethodResult) -> MethodResult:
     order = np.argsort(owed, kind="stable")
     assert chosen.motion is not None
     every = chosen.motion.take(np.zeros(1, int)).concatenate(motion.take(kept[order]))
-    energies = np.concatenate([first, owed[order]])
-    return replace(
-        chosen, poses=every.poses(), motion=every, energy=energies, warp=found.warp, hand=found.hand, texture=vote
-    )
+    chosen = replace(chosen, poses=every.poses(), motion=every, energy=np.concatenate([first, owed[order]]))
+    return replace(chosen, warp=found.warp, hand=found.hand, texture=vote)
 
 
 def _look_alike_turns(problem: Problem, found: MethodResult) -> Float[ndarray, "6 3 3"]:
