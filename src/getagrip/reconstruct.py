@@ -37,6 +37,7 @@ from getagrip.fitting.stages.distance import distance_interval
 from getagrip.fitting.stages.loose_ends import without_loose_ends
 from getagrip.fitting.stages.remaining_frames import SolutionTrack, at_sampled_frames, extend_to_every_frame
 from getagrip.fitting.stages.robust_masks import fit_without_outliers, image_iou
+from getagrip.fitting.stages.texture import prefer_texture
 from getagrip.geometry import se3
 from getagrip.io.terminal import Progressed, progress_callback
 from getagrip.result import Reconstruction, Status
@@ -191,6 +192,7 @@ class StableGrasp:
             raise
         except GetagripError as error:
             raise GetagripError("; ".join(map(str, (error, *self.findings)))) from error
+        self.found = prefer_texture(self.problem, self.found)
         self.sampled = at_sampled_frames(self.problem, self.found)
         clock("finish")
 

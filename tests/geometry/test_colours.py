@@ -73,8 +73,12 @@ def test_a_mesh_whose_texture_does_not_read_is_used_without_it(tmp_path: Path) -
 def test_a_mesh_of_another_unit_keeps_its_texture(tmp_path: Path) -> None:
     own = read_own_mesh(MeshOptions(mesh=scan_in(tmp_path), size_mm=50.0))
     assert own.mesh.colours is not None
-    below = own.mesh.vertices[:, 2] < own.mesh.centre[2]
-    np.testing.assert_allclose(own.mesh.colours[below], [[255, 0, 0]] * 4, atol=3)
+    assert np.ptp(own.mesh.vertices, axis=0) == pytest.approx(np.array([0.025, 0.03, 0.05]))
+    low, high = own.mesh.centre[2] + [-0.005, 0.005]
+    for part, colour in ((own.mesh.vertices[:, 2] < low, [255, 0, 0]), (own.mesh.vertices[:, 2] > high, [0, 0, 255])):
+        assert part.sum() > 1000  # the cube's corners alone do not show a texture
+        np.testing.assert_allclose(own.mesh.colours[part], np.tile(colour, (part.sum(), 1)), atol=3)
+    assert own.mesh.is_closed
 
 
 def test_a_ply_file_keeps_vertices_and_colours_exactly(tmp_path: Path) -> None:

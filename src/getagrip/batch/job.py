@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from getagrip.batch.engine import NamedTask
     from getagrip.fitting.options import Options
 
-UNREAD_CLIP_FILES = ("frames", "truth.npz")
-"""Files of a clip that no reconstruction reads (``clip.input_sha256``)."""
+IMAGE_FILES, UNREAD_CLIP_FILES = "frames", ("truth.npz",)
+"""Files of a clip that some reconstructions read (``fitting.evidence.texture``), and that none does."""
 RESULT_RECORD_FILE, RESULT_POSES_FILE = "result.json", "result.npz"
 """Files of a result; the first marks a folder as one."""
 
@@ -239,7 +239,11 @@ def _fetch_clip(job: StreamedJob, folder: Path) -> Path:
     clip = folder / "clip" / job.name
     clip.mkdir(parents=True)
     copy = job.clip.unpack_to if job.clip.name.endswith(ARCHIVE_SUFFIX) else job.clip.copy_to
-    copy(clip, UNREAD_CLIP_FILES)
+    copy(clip, (IMAGE_FILES, *UNREAD_CLIP_FILES))
+    from getagrip.fitting.evidence.texture import reads_images
+
+    if reads_images(clip):
+        copy(clip, UNREAD_CLIP_FILES)
     name = read_name(clip)
     if name != job.name:
         expected = f"{job.name}, as its folder or archive is named"

@@ -53,6 +53,23 @@ class Glitches:
         return f"{what}: {where} {names}"
 
 
+@dataclass(frozen=True)
+class TextureVote:
+    """Vote of a mesh's texture on a result (``fitting.stages.texture``); NaN where it was not compared.
+
+    Attributes:
+        correlation: of its colours with those of the images.
+        gain: nats by which it prefers the result to the pose that masks alone prefer; 0 where these are one.
+        against: nats by which it prefers another pose to the result; 0 where it prefers the result.
+        unread: number of images that do not read, and were not compared.
+    """
+
+    correlation: float = np.nan
+    gain: float = np.nan
+    against: float = np.nan
+    unread: int = 0
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """A clip with its masks and, after the fit, the result; each part is computed when a check first reads it.
@@ -76,6 +93,7 @@ class Evidence:
         turned_away: angle by which the opening of a built-in vessel points away from the camera [degrees]; NaN for
             other meshes.
         glitches: frames of tracker glitches, repaired in ``clip``; None where hands are used as given.
+        texture: the vote of the mesh's texture.
     """
 
     clip: Clip
@@ -93,6 +111,7 @@ class Evidence:
     scale_check: tuple[float, float] = (np.nan, np.nan)
     turned_away: float = np.nan
     glitches: Glitches | None = None
+    texture: TextureVote = TextureVote()
 
     @property
     def shape_assumed(self) -> bool:

@@ -122,13 +122,13 @@ def read_own_mesh(request: MeshOptions) -> OwnMesh:
         raise UsageError(f"--unit cannot be used with this package's own {request.kind}, which is in metres")
     vertices, faces, shape = _read_mesh_arrays(request)
     words = shape.text
-    colours, without = _read_mesh_colours(request, vertices)
-    words += without
     kept = drop_degenerate_faces(vertices, faces)  # generated meshes are full of slivers
     if len(kept) < len(faces):
         words += f", {format_count(len(faces) - len(kept), 'face')} without area left out"
     kept, words_of_part, guess = _select_mesh_part(vertices, kept, request)
     words += words_of_part
+    vertices, kept, colours, without = _paint_mesh(request, vertices, kept)
+    words += without
     vertices, scale = _rescale_vertices(vertices, kept, request)
     if request.unit is not None:
         words += f", in {request.unit}"
@@ -139,24 +139,36 @@ def read_own_mesh(request: MeshOptions) -> OwnMesh:
     return OwnMesh(mesh if colours is None else mesh.coloured_like(vertices, colours), sized, provenance)
 
 
-def _read_mesh_colours(
-    request: MeshOptions, vertices: Float[ndarray, "..."]
-) -> tuple[UInt8[ndarray, "V 3"] | None, str]:
-    """Read the colours of a mesh's vertices; None without any, or with a description of why they do not read."""
-    import numpy as np
+def _paint_mesh(
+    request: MeshOptions, vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]
+) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], UInt8[ndarray, "V 3"] | None, str]:
+    """Read the colours of a mesh's vertices, subdivided where a texture needs it; without any, describe why."""
     from scipy.spatial import cKDTree
 
-    from getagrip.geometry.mesh_files.colours import names_texture, parse_colours, texture_colours
+    from getagrip.geometry.mesh import subdivide_surface
+    from getagrip.geometry.mesh_files.colours import names_texture, painted_edge, parse_colours, texture_colours
 
-    if request.kind is not None or vertices.ndim != 2 or not np.isfinite(vertices).all():
-        return None, ""
+    if request.kind is not None or not _is_usable(vertices, faces):
+        return vertices, faces, None, ""
     try:
-        painted = texture_colours(request.path) if names_texture(request.path) else parse_colours(request.path)
+        painted = parse_colours(request.path)
+        if names_texture(request.path):
+            longest = painted_edge(vertices, faces)
+            painted = texture_colours(request.path, longest)
+            vertices, faces = subdivide_surface(vertices, faces, longest)
     except InputError as error:  # a pose needs no colours
-        return None, f", without its texture ({error.key}: {error.got})"
+        return vertices, faces, None, f", without its texture ({error.key}: {error.got})"
     if painted is None or painted.points.shape[1:] != vertices.shape[1:]:
-        return None, ""
-    return painted.colours[cKDTree(painted.points).query(vertices)[1]], ""
+        return vertices, faces, None, ""
+    return vertices, faces, painted.colours[cKDTree(painted.points).query(vertices)[1]], ""
+
+
+def _is_usable(vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> bool:
+    """Return whether arrays are a mesh; ``checked_mesh`` reports the error of others."""
+    import numpy as np
+
+    shaped = vertices.ndim == 2 and vertices.shape[1:] == (3,) and faces.shape[1:] == (3,) and faces.size > 0
+    return bool(shaped and 0 <= faces.min() <= faces.max() < len(vertices) and np.isfinite(vertices).all())
 
 
 def _read_mesh_arrays(request: MeshOptions) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], Source]:
@@ -187,9 +199,8 @@ def _select_mesh_part(
 
     if request.part is not None and not (request.part == "all" or (request.part.isdecimal() and int(request.part))):
         raise UsageError(f"--part must be the number of a part, from 1, or all (got {request.part!r})")
-    usable = vertices.ndim == 2 and vertices.shape[1:] == (3,) and faces.shape[1:] == (3,) and faces.size
-    if not usable or not 0 <= faces.min() <= faces.max() < len(vertices) or not np.isfinite(vertices).all():
-        return faces, "", False  # checked_mesh reports the error
+    if not _is_usable(vertices, faces):
+        return faces, "", False
     parts = separate_parts(vertices, faces)
     sides = [np.ptp(vertices[faces[part].ravel()], axis=0) for part in parts]
     whole = float(np.ptp(vertices[faces.ravel()], axis=0).max())

@@ -399,11 +399,8 @@ class Clip(ArrayData):
 
     def image_file(self, n: int) -> Path | None:
         """Return the image file of a frame; None without one. Raises ``InputError`` for a link that leads out."""
-        if self.folder is None:
-            return None
-        names = (f"frames/{self.frames[n]}{suffix}" for suffix in (".jpg", ".png"))
-        found = next((name for name in names if (self.folder / name).is_file()), None)
-        return None if found is None else inside(self.folder, found, "", "an image")
+        name = None if self.folder is None else find_image(self.folder, self.frames[n])
+        return None if self.folder is None or name is None else inside(self.folder, name, "", "an image")
 
     def index_of(self, frames: Sequence[str]) -> Int[ndarray, "n"]:
         """Return the indices of frames by name. Raises ``InputError`` for an unknown name."""
@@ -480,6 +477,12 @@ class Clip(ArrayData):
             world=world, segments=segments, other_hand=self.other_hand and self.other_hand.take(index),
             evidence=evidence,
         )  # fmt: skip
+
+
+def find_image(folder: Path, frame: str) -> str | None:
+    """Return the name of a frame's image in a clip's folder; None without one."""
+    names = (f"frames/{frame}{suffix}" for suffix in (".jpg", ".png"))
+    return next((name for name in names if (folder / name).is_file()), None)
 
 
 def frame_indices(frames: int, wanted: int) -> Int[ndarray, "n"]:

@@ -62,6 +62,7 @@ BUILTIN_MODALITIES: Mapping[str, Modality[PerFrame] | str] = {
     "hand-masks": "getagrip.fitting.evidence.silhouettes:HandMasks",
     "joints-2d": "getagrip.fitting.evidence.joints_2d:HandJoints2D",
     "depth": "getagrip.fitting.evidence.depth_images:DepthImages",
+    "texture": "getagrip.fitting.evidence.texture:Texture",
 }
 MODALITIES = PluginTable(
     "modalities",

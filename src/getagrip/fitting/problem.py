@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from getagrip.checks.evidence import TextureVote
 from getagrip.clip import (
     Clip,
     Masks,
@@ -294,6 +295,7 @@ class MethodResult:
         energy_of: the energy of that fit.
         warp: the mesh fit (``stages.mesh_deformation``), whose mesh poses and energies are of; None: the input mesh.
         hand: the hand solved together with the object, to which poses are relative; None: the problem's.
+        texture: the vote of the mesh's texture.
     """
 
     poses: PosesInHand
@@ -305,6 +307,7 @@ class MethodResult:
     energy_of: EnergyOf | None = None
     warp: Warp | None = None
     hand: SolvedHand | None = None
+    texture: TextureVote = field(default_factory=TextureVote)
 
 
 def prepare_problem(clip: Clip, options: Options, threads: int = 1) -> Problem:

@@ -336,9 +336,11 @@ def edge_length(area: float, vertices: int) -> float:
 
 
 def subdivide_surface(
-    vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], longest: float
-) -> tuple[Float[ndarray, "W 3"], Int[ndarray, "G 3"]]:
+    vertices: Float[ndarray, "V C"], faces: Int[ndarray, "F 3"], longest: float
+) -> tuple[Float[ndarray, "W C"], Int[ndarray, "G 3"]]:
     """Subdivide a surface until no edge is above ``longest`` [m]; new vertices follow the old ones.
+
+    Columns of the vertices behind their coordinates, such as those of a texture, are interpolated, too.
 
     Each pass halves the edges that are too long: a triangle with one, two or three of them becomes two, three or four.
     Neighbours share the new vertices, so a closed mesh stays closed.
@@ -347,7 +349,7 @@ def subdivide_surface(
         edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1).reshape(-1, 2)
         unique, of = np.unique(edges, axis=0, return_inverse=True)
         ends = vertices[unique]
-        long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) > longest
+        long = np.linalg.norm((ends[:, 1] - ends[:, 0])[:, :3], axis=-1) > longest
         if not long.any():
             break
         middle = np.where(long, len(vertices) + np.cumsum(long) - 1, -1)

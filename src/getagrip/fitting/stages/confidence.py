@@ -102,7 +102,7 @@ def solved_of(
         spread=pose_spread(problem, found), hand_spread=_hand_spread(input_clip, problem, found),
         scale_check=scale_check(problem, found), joint_error=joints.size if joints else float("nan"),
         distance_spread=_distance_spread(input_clip, problem, found),
-        turned_away=opening_angle(problem.clip, sampled.T_hand_obj[0]),
+        turned_away=opening_angle(problem.clip, sampled.T_hand_obj[0]), texture=found.texture,
     )  # fmt: skip
 
 

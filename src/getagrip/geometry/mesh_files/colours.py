@@ -1,7 +1,7 @@
 """Colours of a mesh, at its vertices: the vertices' own (.ply), or those of the texture that faces name (.obj, .mtl).
 
 Scans are dense, so that colours of vertices tell as much as a picture does at the size of an object in a video, and
-every step that merges, cuts, decimates or deforms a mesh keeps them.
+every step that merges, cuts, decimates or deforms a mesh keeps them. A coarse mesh with a texture is subdivided first.
 """
 
 from __future__ import annotations
@@ -11,15 +11,20 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from getagrip.errors import InputError
-from getagrip.geometry.mesh_files.ply import parse_ply_colours
+from getagrip.geometry.mesh import subdivide_surface
+from getagrip.geometry.mesh_files.ply import names_ply_colours, parse_ply_colours
 from getagrip.io import files
 
 MAX_TEXTURED_BYTES, MAX_TEXTURE_SIDE_PX = 64 * 2**20, 8192
 """Limits of a textured .obj file and its picture, and of the picture's sides."""
+
+
+MAX_COARSE_FACES, EDGES_PER_SIDE, MAX_PAINTED_FACES = 4000, 40, 100_000
+"""Maximum faces of a mesh that is subdivided; then, edges along its largest side, and about the maximum of faces."""
 
 
 class ColouredPoints(NamedTuple):
@@ -37,6 +42,14 @@ def parse_colours(path: Path) -> ColouredPoints | None:
     return None if found is None or not np.isfinite(found[0]).all() or not len(found[0]) else ColouredPoints(*found)
 
 
+def has_colours(path: Path) -> bool:
+    """Return whether ``read_mesh`` finds colours in a file: that of a .ply file's vertices."""
+    if path.suffix.lower() != ".ply":
+        return False
+    with path.open("rb") as file:
+        return names_ply_colours(file.read(2**16))
+
+
 def names_texture(path: Path) -> bool:
     """Return whether a file is an .obj file that names a file of materials. Raises ``InputError``."""
     if path.suffix.lower() != ".obj":
@@ -44,15 +57,37 @@ def names_texture(path: Path) -> bool:
     return b"\nmtllib " in b"\n" + files.read_bytes(path, MAX_TEXTURED_BYTES * 2)
 
 
-def texture_colours(path: Path) -> ColouredPoints:
-    """Read the texture's colour at each corner of an .obj file's faces.
+def painted_edge(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> float:
+    """Return the edge down to which a textured surface is subdivided, so that its vertices show the texture.
+
+    Infinite where it has many faces, or would get too many.
+    """
+    if len(faces) > MAX_COARSE_FACES:
+        return np.inf
+    longest = float(np.ptp(vertices[faces].reshape(-1, 3), axis=0).max()) / EDGES_PER_SIDE
+    return longest if _count_pieces(vertices, faces, longest) < MAX_PAINTED_FACES else np.inf
+
+
+def _count_pieces(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], longest: float) -> float:
+    """Return about the maximum number of faces after subdivision; infinite for a point."""
+    if not longest > 0.0:
+        return np.inf
+    sides = np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=2).max(axis=1)
+    return float(np.sum(np.maximum(sides / longest, 1.0) ** 2))
+
+
+def texture_colours(path: Path, longest: float = np.inf) -> ColouredPoints:
+    """Read the texture's colour at each corner of an .obj file's faces, subdivided until no edge is above ``longest``.
 
     Raises ``InputError`` for a file that does not read, or without a texture beside it.
     """
     from getagrip.io.images import decode_image
 
     lines = files.read_text(path, MAX_TEXTURED_BYTES).splitlines()
-    placed, uv = _texture_coordinates(path, lines)
+    corners, faces = _texture_coordinates(path, lines)
+    if _count_pieces(corners[:, :3], faces, longest) < MAX_PAINTED_FACES:
+        corners = subdivide_surface(corners, faces, longest)[0]
+    placed, uv = np.split(corners, [3], axis=1)
     material = _named_file(path, lines, "mtllib")
     texture = _named_file(material, files.read_text(material, files.MAX_JSON_BYTES).splitlines(), "map_Kd")
     image = decode_image(texture, "", files.read_bytes(texture, MAX_TEXTURED_BYTES), MAX_TEXTURE_SIDE_PX)
@@ -65,16 +100,19 @@ def texture_colours(path: Path) -> ColouredPoints:
     return ColouredPoints(placed, image[at])
 
 
-def _texture_coordinates(path: Path, lines: Sequence[str]) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 2"]]:
-    """Return vertices that faces name with a texture coordinate, and these coordinates."""
+def _texture_coordinates(path: Path, lines: Sequence[str]) -> tuple[Float[ndarray, "n 5"], Int[ndarray, "m 3"]]:
+    """Return corners of faces, with their texture coordinates behind their own, and the faces cut into triangles."""
     try:
         vertices = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=float)
         points = np.array([line.split()[1:3] for line in lines if line.startswith("vt ")], dtype=float)
-        corners = {word for line in lines if line.startswith("f ") for word in line.split()[1:]}
-        pairs = np.array([word.split("/")[:2] for word in sorted(corners)], dtype=int) - 1
+        polygons = [line.split()[1:] for line in lines if line.startswith("f ")]
+        place = {word: n for n, word in enumerate(sorted({word for polygon in polygons for word in polygon}))}
+        pairs = np.array([word.split("/")[:2] for word in place], dtype=int) - 1
         if pairs.min() < 0 or not (np.isfinite(vertices).all() and np.isfinite(points).all()):
             raise ValueError
-        return vertices[pairs[:, 0]], points[pairs[:, 1]]
+        corners = np.concatenate([vertices[pairs[:, 0]], points[pairs[:, 1]]], axis=1)
+        fans = [(p[0], *p[n : n + 2]) for p in polygons for n in range(1, len(p) - 1)]
+        return corners, np.array([[place[word] for word in fan] for fan in fans], dtype=int).reshape(-1, 3)
     except (ValueError, IndexError) as error:
         raise InputError(
             path, "f", "faces without texture coordinates", "f v/vt ... in every face, counted from 1"

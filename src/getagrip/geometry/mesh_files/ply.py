@@ -76,10 +76,15 @@ def parse_ply(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
         return points, triangulate_polygons(path, points, counts, corners.astype(np.int64))
 
 
+def names_ply_colours(content: bytes) -> bool:
+    """Return whether the header of a file, of which the beginning suffices, names red, green and blue."""
+    header = content[: 2**16].partition(b"end_header")[0]
+    return all(re.search(rb"property\s+(uchar|uint8)\s+" + name, header) for name in (b"red", b"green", b"blue"))
+
+
 def parse_ply_colours(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], UInt8[ndarray, "V 3"]] | None:
     """Parse vertices and their colours, 0 to 255; None without any. Raises ``InputError``."""
-    header = content[: 2**16].partition(b"end_header")[0]
-    if not all(re.search(rb"property\s+(uchar|uint8)\s+" + name, header) for name in (b"red", b"green", b"blue")):
+    if not names_ply_colours(content):
         return None
     tables = _read_ply_tables(path, content)
     points, columns = _ply_points(path, tables), tables.get("vertex", Columns())
