@@ -52,7 +52,7 @@ KERNEL_GROUPS = (
 """Modules by compiling process: modules that share parts together, and processes of equal duration."""
 RARELY_USED_KERNEL_MODULES = (
     "fitting.energy.mesh_mask", "fitting.energy.paper_contact", "fitting.energy.depth_term", "geometry.kernels.depth",
-    "fitting.energy.occlusion_order", "studio.masks.graph_cut",
+    "fitting.energy.occlusion_order", "fitting.energy.handle_grip", "studio.masks.graph_cut",
 )  # fmt: skip
 """Modules that few reconstructions need; each is compiled on first use."""
 TYPE_BY_LETTER = {

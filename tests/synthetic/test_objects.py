@@ -15,9 +15,12 @@ from getagrip.synthetic import objects
 from getagrip.synthetic.categories import SHAPE_MAKERS
 from getagrip.synthetic.objects import Tube, loft, merge_closed_meshes, torus
 
-PARTS = {"scissors": 4, "capsule_machine": 4, "espresso_machine": 4, "microwave": 2, "mixer": 3}
+PARTS = {"scissors": 4, "capsule_machine": 4, "espresso_machine": 4, "microwave": 2, "mixer": 3, "spray_bottle": 3}
 """How many closed parts, where it is not one."""
-HANDLES = {"mug": 1, "cup": 1, "kettle": 1, "mixer": 1, "pitcher": 1, "scissors": 2, "tape": 1}
+HANDLES = {
+    "mug": 1, "cup": 1, "kettle": 1, "mixer": 1, "pitcher": 1, "scissors": 2, "tape": 1,
+    "french_press": 1, "jug": 1, "watering_can": 1,
+}  # fmt: skip
 """Genus, where it is not 0."""
 
 

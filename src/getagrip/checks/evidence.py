@@ -92,6 +92,8 @@ class Evidence:
             the scale was not checked.
         turned_away: angle by which the opening of a built-in vessel points away from the camera [degrees]; NaN for
             other meshes.
+        handle_decided: how much more energy the result would have than another candidate if the fingers said nothing
+            about the object's handle; NaN of an object without one.
         glitches: frames of tracker glitches, repaired in ``clip``; None where hands are used as given.
         texture: the vote of the mesh's texture.
     """
@@ -110,6 +112,7 @@ class Evidence:
     misfit: float = np.nan
     scale_check: tuple[float, float] = (np.nan, np.nan)
     turned_away: float = np.nan
+    handle_decided: float = np.nan
     glitches: Glitches | None = None
     texture: TextureVote = TextureVote()
 

@@ -251,6 +251,11 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
         advice="if the object is upside down, take another candidate: tilted towards the camera it looks similar",
     ),
     Check(
+        "handle-decided", lambda it: it.handle_decided, high=0.0, serious=False, shown=format_percent,
+        fault="the fingers about the object's handle decided: without them another candidate is better, by {value}",
+        advice="if the hand does not hold the object by the handle, take another candidate",
+    ),
+    Check(
         "result-size", lambda it: inputs.size_at_scale(it, "free", it.scale * it.clip.mesh.diameter / it.hand_size),
         low=0.1, high=6.0,
         fault="the object was found to be {value} times as large as the hand",

@@ -18,6 +18,7 @@ from getagrip.fitting.energy import Energy, HandEnergy, HandTerm, InHand, OnHand
 from getagrip.fitting.energy.contact import HandContacts, PullTerm, PushTerm, farthest_point_sampling
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.fitting.energy.hand_terms import HandMaskTerm, SeenJointsTerm
+from getagrip.fitting.energy.handle_grip import HandleTerm, finger_middles
 from getagrip.fitting.energy.mask import MaskTerm
 from getagrip.fitting.energy.occlusion_order import HandOrder, OrderTerm, corners_of
 from getagrip.fitting.hand.hand_silhouette import HandSilhouette, hand_crops
@@ -34,6 +35,8 @@ PUSH_WEIGHT, PULL_WEIGHT = 0.125, 0.015
 leaves push and pull without effect; the authors' code divides E_mask by the area of the mask instead. Pull has less
 weight: a hand may well not touch the object with all five fingertips, but it cannot enter the object.
 """
+HANDLE_WEIGHT = 0.1
+"""Weight of a handle's distance from the fingers, in that of pull."""
 N_CONSISTENCY_REGION_POINTS, N_CONSISTENCY_OBJECT_POINTS = 2, 8
 """Number of points of each contact region, and of the object, in the term of contact consistency."""
 
@@ -144,6 +147,16 @@ def depth_order_energy(problem: Problem) -> Energy:
     corners, (each, _) = corners_of(problem.clip.mesh), contact_weights(problem, weight, 0.0)
     hand = HandOrder.of(problem.clip.hand, problem.clip.K, masks)
     return lambda level, index: [InHand(OrderTerm(corners, hand.take(index), each[index]))]
+
+
+def handle_energy(problem: Problem) -> Energy:
+    """Return the saving of a handle that lies within the fingers, by the weight of pull; none without a handle."""
+    handle, fingers = problem.surface.handle, finger_middles(problem.clip.hand)
+    pull = problem.trust.contact * problem.options.pull
+    if handle is None or fingers is None or not pull:
+        return NO_TERMS
+    weight = HANDLE_WEIGHT * contact_weights(problem, 0.0, pull)[1]
+    return lambda level, index: [InHand(HandleTerm(handle, fingers[index], weight[index]))]
 
 
 def distance_consistency_energy(problem: Problem, weight: float, exact: bool = False) -> Energy:

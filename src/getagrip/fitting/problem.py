@@ -33,6 +33,7 @@ from getagrip.fitting.motion import Motion, PosesInHand
 from getagrip.fitting.options import FREE_SCALE_START_FACTOR, Options
 from getagrip.fitting.solver import initial_poses
 from getagrip.geometry import se3
+from getagrip.geometry.handles import find_handle
 from getagrip.geometry.kernels.closest import FaceGrid
 from getagrip.geometry.mesh import Mesh, decimate
 from getagrip.geometry.warp import Warp
@@ -99,6 +100,12 @@ class ObjectSurface:
         """Tables of the mesh for silhouettes, at each level of pixels."""
         coarse = SilhouetteMesh.of(self.coarse, self.mesh.centre)
         return {64: coarse, 128: coarse, 256: SilhouetteMesh.of(decimate(self.mesh, MAX_FINE_FACES), self.mesh.centre)}
+
+    @cached_property
+    def handle(self) -> Float[ndarray, "P 3"] | None:
+        """Points of the handle's middle line about the centre of the input mesh [m]; None without a handle."""
+        line = find_handle(self.coarse)
+        return None if line is None else line - self.mesh.centre
 
     @cached_property
     def half_turns(self) -> Float[ndarray, "T 3 3"]:

@@ -160,5 +160,13 @@ CATEGORY_PRIORS: dict[str, CategoryPrior] = {
     "book": CategoryPrior((Grip("pinch", (0.06, 0, 0), (-1, 0, 0), (0, 0, -1)),), spread=0.4, bend=0.005),
     "jar": CategoryPrior((_ROUND_GRIP,), spread=0.4, stretch=0.2, revolved=True),
     "pitcher": CategoryPrior((Grip("palm", (0.102, 0, 0.1), (-1, 0, 0), (0, 0, 1)),), opens_up=True, revolved=True),
+    "french_press": CategoryPrior(
+        (Grip("palm", (0.092, 0, 0.085), (-1, 0, 0), (0, 0, 1)),), opens_up=True, revolved=True
+    ),
+    "jug": CategoryPrior((Grip("palm", (0.085, 0, 0.065), (-1, 0, 0), (0, 0, 1)),), opens_up=True, revolved=True),
+    "spray_bottle": CategoryPrior((Grip("palm", (-0.014, 0, 0.185), (1, 0, 0), (0, 0, 1)),), opens_up=True),
+    "watering_can": CategoryPrior(
+        (Grip("palm", (0.14, 0, 0.105), (-1, 0, -0.3), (-0.3, 0, 1)),), opens_up=True, revolved=True
+    ),
 }
 """Priors of the nine categories of EPIC-Grasps, ARCTIC's categories, and others."""

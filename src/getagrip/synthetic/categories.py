@@ -61,8 +61,13 @@ SHAPE_MAKERS: dict[str, Callable[[], Mesh]] = {
     "banana": objects.banana,
     "tape": objects.tape,
     "umbrella": objects.umbrella,
+    "french_press": objects.french_press,
+    "jug": objects.jug,
+    "spray_bottle": objects.spray_bottle,
+    "watering_can": objects.watering_can,
 }
-"""All built-in shapes: the categories, three more with a usual grasp (``hands.grips``), and four without."""
+"""All built-in shapes: the categories, three more with a usual grasp (``hands.grips``), four without, and four with one
+that have a lever, a lid or a spout."""
 
 
 def clips_of_split(name: Split, preset: str = "clean") -> list[tuple[str, int, SceneOptions]]:

@@ -18,7 +18,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import count
+from itertools import count, product
 from pathlib import Path
 from typing import Literal
 
@@ -53,13 +53,18 @@ from getagrip.synthetic.video import CLOTH_TONES, LAMP_DIRECTION, SKIN_TONES, TA
 VALIDATION_KINDS = (
     "banana", "book", "cup", "jar", "kettle", "ketchup", "pitcher", "plate", "saucepan", "tape",
 )  # fmt: skip
-"""Built-in kinds of validation; training has the others."""
+LATER_KINDS: dict[Split, tuple[str, ...]] = {
+    "train": ("french_press", "jug"),
+    "validation": ("spray_bottle", "watering_can"),
+}
+"""Kinds whose clips come last, so that those of the others stay as they were."""
 KINDS: dict[Split, tuple[str, ...]] = {
-    "train": tuple(kind for kind in SHAPE_MAKERS if kind not in VALIDATION_KINDS),
+    "train": tuple(kind for kind in SHAPE_MAKERS if kind not in (*VALIDATION_KINDS, *sum(LATER_KINDS.values(), ()))),
     "validation": VALIDATION_KINDS,
 }
+"""Built-in kinds, but for the later ones: of validation, and all others of training."""
 SEEDS: dict[Split, range] = {"train": range(300_000, 300_008), "validation": range(400_000, 400_006)}
-"""Seeds of each kind's clips, and of each scan's: 152 clips and 60 without scans."""
+"""Seeds of each kind's clips, and of each scan's: 168 clips and 72 without scans."""
 MOTIONS: dict[Split, tuple[str, ...]] = {"train": ("arctic",), "validation": ("dexycb", "arctic")}
 """Datasets by whose measured motion objects move in the hand."""
 REACH_FRAMES, GRASP_FRAMES, FILM_FPS = 6, 24, 15.0
@@ -134,8 +139,8 @@ def filmed_clips(split: Split, scans: Sequence[Path] = ()) -> list[FilmedClip]:
     named = {f"scan-{scan.parent.name}-{scan.stem}": scan for scan in sorted(scans)}  # many are called textured.obj
     kinds += [(name, scan) for name, scan in named.items() if split_of_scan(name) == split]
     out, number = [], count()
-    for seed in SEEDS[split]:
-        for kind, scan in kinds:
+    for some in (kinds, [(kind, None) for kind in LATER_KINDS[split]]):
+        for seed, (kind, scan) in product(SEEDS[split], some):
             n = next(number)
             side: Side = "left" if n % 2 else "right"
             out.append(FilmedClip(kind, seed, split, side, "front" if n // 2 % 2 else "head", n // 4 % 2 == 0, scan))

@@ -291,6 +291,15 @@ def pitcher(radius: float = 0.06, height: float = 0.19, wall: float = 0.004, rea
     return loft(rings, [handle(path, 12, 0.011, 0.007)])
 
 
+def jug(radius: float = 0.05, height: float = 0.115, wall: float = 0.003, reach: float = 0.04) -> Mesh:
+    """Make a low, round-bellied jug for milk or for measuring: a wide lip at -x, a handle at +x."""
+    path = parse_profile("0.08 0.86, 0.8 0.9, 1 0.58, 0.7 0.28, 0.2 0.22", reach, height, right=radius)
+    rings = revolve_profile(_vessel_profile(0.9 * radius, radius, height, wall, belly=0.1 * radius), 22, 0.016, 0.25)
+    top = np.clip(4.0 * rings[..., 2] / height - 3.0, 0.0, 1.0)
+    rings[..., 0] -= 0.35 * radius * top * np.clip(-rings[..., 0] / radius, 0.0, 1.0) ** 3
+    return loft(rings, [handle(path, 11, 0.007, 0.005)])
+
+
 def cup(radius: float = 0.044, height: float = 0.066, wall: float = 0.003, reach: float = 0.026) -> Mesh:
     """Make a round-bellied tea cup with a small ear."""
     path = parse_profile("-0.07 0.76, 0.85 0.78, 0.9 0.48, -0.17 0.36", reach, height, right=radius)
@@ -331,6 +340,38 @@ def kettle(radius: float = 0.075, height: float = 0.15, reach: float = 0.052) ->
     spout = arc(parse_profile("-0.93 0.4, -1.25 0.55, -1.42 0.8, -1.62 0.9", radius, height), 7)
     thick = np.linspace(0.014, 0.007, 7)
     return loft(rings, [handle(bow, 12, 0.010, 0.0065), Tube(spout, _Y, thick, thick, capped=True)])
+
+
+def watering_can(radius: float = 0.07, height: float = 0.13, reach: float = 0.07) -> Mesh:
+    """Make a small watering can: a long spout from low at -x to above the rim, a handle from the top to the side."""
+    body = "0.35 0, 0.9 0, 1 0.04, 0.98 0.3, 0.94 0.6, 0.9 0.9, 0.88 1, 0.84 1, 0.86 0.9, 0.88 0.6, 0.9 0.2, 0.35 0.06"
+    rings = revolve_profile(parse_profile(body, radius, height), 24, 0.021, focus=0.2)
+    bow = parse_profile("0 0.9, 0.35 1.15, 0.85 1.1, 1 0.8, 0.7 0.42, -0.05 0.28", reach, height, right=radius)
+    spout = arc(parse_profile("-0.98 0.25, -1.5 0.4, -2.1 0.85, -2.75 1.22, -2.95 1.3", radius, height), 10)
+    thick = np.interp(np.linspace(0.0, 1.0, 10), [0.0, 0.8, 1.0], [0.014, 0.007, 0.013])
+    return loft(rings, [handle(bow, 14, 0.009, 0.0065), Tube(spout, _Y, thick, thick, capped=True)])
+
+
+def french_press(radius: float = 0.046, height: float = 0.165, reach: float = 0.05) -> Mesh:
+    """Make a French press: a straight beaker with a lip at -x, a lid with the plunger's knob, a handle at +x."""
+    beaker = "0.35 0, 0.95 0, 1 0.03, 1 0.3, 1 0.6, 1 0.86, 1.03 0.88, 1.03 0.94"
+    lid = "0.8 0.98, 0.4 1, 0.07 1.005, 0.06 1.15, 0.2 1.17, 0.24 1.2, 0.2 1.24, 0.08 1.25"
+    rings = revolve_profile(parse_profile(f"{beaker}, {lid}", radius, height), 24, 0.019, focus=0.25)
+    lip = np.clip(1.0 - np.abs(rings[..., 2] / height - 0.9) / 0.07, 0.0, 1.0)
+    rings[..., 0] -= 0.3 * radius * lip * np.clip(-rings[..., 0] / radius, 0.0, 1.0) ** 6
+    path = parse_profile("-0.02 0.84, 0.8 0.86, 1 0.62, 0.95 0.3, 0.7 0.12, -0.02 0.1", reach, height, right=radius)
+    return loft(rings, [handle(path, 13, 0.009, 0.0065)])
+
+
+def spray_bottle(radius: float = 0.038, height: float = 0.24) -> Mesh:
+    """Make a spray bottle: a body with a slim neck, a head whose nozzle points to +x, a lever below it."""
+    body = "0.35 0, 0.92 0, 1 0.02, 1 0.2, 1 0.4, 0.95 0.5, 0.72 0.6, 0.42 0.68, 0.36 0.74, 0.4 0.86, 0.2 0.87"
+    rings = revolve_profile(parse_profile(body, radius, height), 20, 0.022)
+    rings[..., 1] *= 0.8
+    z = 0.86 * height
+    head = _rounded_block((-0.035, -0.014, z - 0.004), (0.055, 0.014, z + 0.14 * height), 4.0)
+    lever = _bent_bar([(0.026, z + 0.005), (0.034, z - 0.02), (0.03, z - 0.045), (0.04, z - 0.065)], 8, 0.009, 0.004)
+    return merge_closed_meshes([loft(rings), head, lever])
 
 
 def box(size: tuple[float, float, float] = (0.062, 0.12, 0.17)) -> Mesh:

@@ -12,8 +12,10 @@ from getagrip.checks import RESULT_CHECKS, Evidence, run_checks
 from getagrip.clip import Clip, Masks, with_masks
 from getagrip.fitting.energy import PosesInCamera, no_bound
 from getagrip.fitting.methods.all_frames import coarse_energy
+from getagrip.fitting.motion import Fixed, transform_poses
+from getagrip.fitting.objective import handle_energy
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import ObjectSurface, prepare_problem
+from getagrip.fitting.problem import ObjectSurface, Problem, prepare_problem
 from getagrip.fitting.solver.category_prior import (
     SIDE_REFLECTIONS,
     SizeTerm,
@@ -21,12 +23,14 @@ from getagrip.fitting.solver.category_prior import (
     category_energy,
     category_rotations,
     handle_half_turns,
+    handle_poses,
     opening_angle,
     unmeasured_kind,
 )
 from getagrip.fitting.solver.initial_poses import initial_poses
 from getagrip.geometry import se3
 from getagrip.hands.grips import CATEGORY_PRIORS
+from getagrip.hands.model import Side
 from getagrip.provenance import Source, assumed
 from getagrip.reconstruct import reconstruct
 from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
@@ -59,7 +63,7 @@ def test_energies_of_measured_objects_have_no_other_terms() -> None:
     named = {term.name for term in coarse_energy(prepare_problem(with_masks(clip, masks), Options()))(64, np.arange(4))}
     clip, masks = unmeasured()
     more = {term.name for term in coarse_energy(prepare_problem(with_masks(clip, masks), Options()))(64, np.arange(4))}
-    assert named == {"mask", "push", "pull"}
+    assert named == {"mask", "push", "pull", "handle"}
     assert more == named | {"size", "upright", "opening"}
 
 
@@ -83,6 +87,38 @@ def test_category_rotations_are_the_first_and_at_most_half() -> None:
     np.testing.assert_array_equal(many.R[: len(usual)], usual)
     np.testing.assert_array_equal(few.R[5:], initial_poses(clip, masks, 5).R)
     np.testing.assert_array_equal(initial_poses(clip, masks, 10, usual=usual[:0]).R, initial_poses(clip, masks, 10).R)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_starts_have_the_handle_within_the_fingers(side: Side) -> None:
+    clip, masks = unmeasured(options=replace(SHORT, side=side))
+    problem = prepare_problem(with_masks(clip, masks), Options())
+    initial = initial_poses(clip, masks, 10)
+    poses = handle_poses(problem, initial)
+    (term,) = handle_energy(problem)(256, np.arange(len(problem.clip)))
+    found = term(*in_camera(problem, poses)).value.sum(axis=1)
+    assert len(found) == 7
+    assert (found < 0.8 * found.min()).sum() >= 5
+    np.testing.assert_array_equal(poses.log_scale, initial.log_scale[0])
+    measured = replace(problem, clip=replace(problem.clip, scale="known"))
+    assert len(handle_poses(measured, initial).R) == 0
+
+
+def in_camera(problem: Problem, poses: Fixed) -> tuple[PosesInCamera, np.ndarray]:
+    """Return poses at a problem's frames in the camera frame, and no bound."""
+    in_hand = replace(poses, frames=len(problem.clip)).poses()
+    moved = transform_poses(in_hand, problem.clip.hand.T_cam_hand)
+    at = PosesInCamera(moved.R, moved.centre, moved.scale)
+    return at, no_bound(at)
+
+
+def test_it_is_said_where_the_handle_decided() -> None:
+    clip = small_clip()
+    said = [
+        [*run_checks([RESULT_CHECKS["handle-decided"]], Evidence(*clip, handle_decided=by))[1]] for by in (0.0, 0.03)
+    ]
+    assert not said[0]
+    assert "by 3 %" in str(said[1][0])
 
 
 def test_only_objects_nearly_upside_down_cost() -> None:

@@ -162,7 +162,8 @@ def test_contact_reaches_farther_and_counts_more_where_the_mesh_is_fitted() -> N
     near = replace(motion.take(np.zeros(6, int)), core=replace(core, centre=core.centre + shifts))
     values = []
     for problem in (given, fitted):
-        _, push, pull = coarse_energy(problem)(64, np.arange(len(clip)))
+        named = {term.name: term for term in coarse_energy(problem)(64, np.arange(len(clip)))}
+        push, pull = named["push"], named["pull"]
         values.append(evaluate(near, [push, pull], clip.hand.T_cam_hand, np.full(6, np.inf)).values)
     push, pull = values[1].T[:2] - FITTED_MESH_CONTACT_FACTOR * values[0].T[:2]
     assert values[0][:, 0].max() > 0.0

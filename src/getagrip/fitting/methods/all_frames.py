@@ -23,11 +23,17 @@ from getagrip.fitting.objective import (
     depth_order_energy,
     distance_consistency_energy,
     energy_of,
+    handle_energy,
     mask_energy,
     sum_energies,
 )
 from getagrip.fitting.problem import EnergyOf, MethodResult, Problem
-from getagrip.fitting.solver.category_prior import category_energy, category_rotations, handle_half_turns
+from getagrip.fitting.solver.category_prior import (
+    category_energy,
+    category_rotations,
+    handle_half_turns,
+    handle_poses,
+)
 from getagrip.fitting.solver.initial_poses import initial_poses
 from getagrip.fitting.solver.search import DEFAULT_SCHEDULE, THOROUGH_SCHEDULE, Search
 from getagrip.fitting.solver.solve import Solution, minimise
@@ -199,7 +205,8 @@ def total_energy(problem: Problem, contact: float) -> Energy:
     """Return Eq. 5, with ``contact`` times the options' push and pull, and the terms on lifted or unmeasured inputs."""
     contact *= problem.trust.contact
     contacts = energy_of(problem, contact * problem.options.push, contact * problem.options.pull)
-    return sum_energies(contacts, depth_order_energy(problem), category_energy(problem.clip))
+    own = depth_order_energy(problem), category_energy(problem.clip)
+    return sum_energies(handle_energy(problem), contacts, *own)  # a saving first: bounds of further terms count it
 
 
 def coarse_energy(problem: Problem) -> Energy:
@@ -229,7 +236,8 @@ def search_of(problem: Problem, on_stage: OnStage) -> Search:
 def make_initial_poses(problem: Problem) -> Fixed:
     """Make the initial poses, at all frames."""
     usual = category_rotations(problem.clip) if problem.options.init == "uniform" else None
-    return initial_poses(problem.clip, problem.masks, problem.inits, problem.options.seed, problem.prior_poses, usual)
+    poses = initial_poses(problem.clip, problem.masks, problem.inits, problem.options.seed, problem.prior_poses, usual)
+    return poses if usual is None else poses.concatenate(handle_poses(problem, poses))
 
 
 def hinge_of(problem: Problem, relaxed: Soft[Fixed]) -> Hinge:

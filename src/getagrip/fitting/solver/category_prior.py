@@ -9,7 +9,7 @@ from the camera or towards it, a bowl or a bottle has nearly the same silhouette
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,7 +17,9 @@ from numpy import ndarray
 
 from getagrip.clip import Clip
 from getagrip.fitting.energy import Energy, InHand, PosesInCamera, Quadratic, Term
-from getagrip.fitting.problem import HALF_TURN_DISTANCE_RANGE, ObjectSurface
+from getagrip.fitting.energy.handle_grip import finger_middles
+from getagrip.fitting.motion import Fixed
+from getagrip.fitting.problem import HALF_TURN_DISTANCE_RANGE, ObjectSurface, Problem
 from getagrip.geometry import se3
 from getagrip.hands.grips import CATEGORY_PRIORS, CategoryPrior
 from getagrip.provenance import is_assumed
@@ -26,6 +28,8 @@ N_UPRIGHT_TURNS = 8
 """Turns of each grasp about the upright axis."""
 CATEGORY_PRIOR_WEIGHT = 20.0
 """Energy of one standard deviation of size or tilt in each frame, times 1/2 [px^2]."""
+HANDLE_TURN_RAD, MAX_HANDLE_DISTANCE_M = np.radians(30.0), 0.03
+"""Turns of the grips of a handle, and the largest distance from it of a grip that holds it."""
 TILT_SIGMA = 0.15
 """Standard deviation of a negative cosine to the common upright axis."""
 SIDE_REFLECTIONS = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
@@ -47,6 +51,29 @@ def category_rotations(clip: Clip) -> Float[ndarray, "k 3 3"]:
     about = se3.exp_so3(np.arange(N_UPRIGHT_TURNS)[:, None] * np.array([0.0, 0.0, 2.0 * np.pi / N_UPRIGHT_TURNS]))
     R = (grips[None] @ about[:, None]).reshape(-1, 3, 3)
     return R if clip.side == "right" else SIDE_REFLECTIONS[0] @ R @ SIDE_REFLECTIONS[1]
+
+
+def handle_poses(problem: Problem, initial: Fixed) -> Fixed:
+    """Return poses of an unmeasured object with the handle within the fingers, of the size that ``initial`` has.
+
+    They are the usual grips of its handle, also turned by ``HANDLE_TURN_RAD`` about each axis; none without a handle.
+    """
+    kind, handle, fingers = unmeasured_kind(problem.clip), problem.surface.handle, finger_middles(problem.clip.hand)
+    if kind is None or handle is None or fingers is None:
+        return initial.take(np.zeros(0, dtype=int))
+    turns = se3.exp_so3(HANDLE_TURN_RAD * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]))
+    R, held = np.zeros((0, 3, 3)), np.zeros((0, 3))
+    for grip in kind.grips:
+        away = np.linalg.norm(handle - (grip.at - problem.clip.mesh.centre), axis=1)
+        if away.min() < MAX_HANDLE_DISTANCE_M:
+            R = np.concatenate([R, grip.R_hand_obj @ turns])
+            held = np.concatenate([held, np.tile(handle[away.argmin()], (len(turns), 1))])
+    starts = initial.take(np.zeros(len(R), dtype=int))
+    if problem.clip.side == "left":
+        R = SIDE_REFLECTIONS[0] @ R @ SIDE_REFLECTIONS[1]
+    middle = se3.transform(se3.inverse(problem.clip.hand.T_cam_hand), fingers).mean(axis=(0, 1))
+    at = np.exp(starts.log_scale)[:, None] * (R @ held[..., None])[..., 0]
+    return replace(starts, R=R, centre=middle - at)
 
 
 def handle_half_turns(clip: Clip, surface: ObjectSurface) -> Float[ndarray, "k 3 3"]:

@@ -38,8 +38,11 @@ from getagrip.checks.calibration import (
 from getagrip.checks.evidence import was_lifted
 from getagrip.checks.features import was_corrected
 from getagrip.clip import Clip
+from getagrip.fitting.energy import PosesInCamera, no_bound
 from getagrip.fitting.energy.mask import MASK_CROP_SIZE_PX
 from getagrip.fitting.hand.hand_error_model import rigid_point_jacobian
+from getagrip.fitting.motion import transform_poses
+from getagrip.fitting.objective import handle_energy
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solver.category_prior import opening_angle
@@ -63,10 +66,10 @@ CALIBRATION_NEUTRAL_OPTIONS = (
 """Options that leave a calibration valid; it was made with the default values of all options."""
 CALIBRATED_TERMS = (
     "total", "mask", "push", "pull", "consistency", "prior", "hand-mask", "joints-2d", "depth",
-    "order", "size", "upright", "opening",
+    "order", "size", "upright", "opening", "handle",
 )  # fmt: skip
-"""Names of the calibrated energy's terms. The last four count only for assumed inputs, such as the object's category,
-which the calibration did not have; its probability is carried over to them."""
+"""Names of the calibrated energy's terms. The last five the calibration did not have, the last of them only for objects
+with a handle, the others for assumed inputs, such as the object's category; its probability is carried over to them."""
 HAND_ALTERNATIVE_DISTANCE = 0.14
 """Distance by which alternatives of a hand move the object in it [diameters]; a pose is right within 0.1. Chosen on
 training clips."""
@@ -103,7 +106,22 @@ def solved_of(
         scale_check=scale_check(problem, found), joint_error=joints.size if joints else float("nan"),
         distance_spread=_distance_spread(input_clip, problem, found),
         turned_away=opening_angle(problem.clip, sampled.T_hand_obj[0]), texture=found.texture,
+        handle_decided=handle_decided(problem, found),
     )  # fmt: skip
+
+
+def handle_decided(problem: Problem, found: MethodResult) -> float:
+    """Compute how much more energy the result would have than another candidate without its handle's term [share].
+
+    NaN of an object without a handle, and of a method without the term; 0 where the result is the best without it, too.
+    """
+    if "handle" not in found.terms:
+        return float("nan")
+    poses = transform_poses(found.poses, problem.clip.hand.T_cam_hand)
+    (term,) = handle_energy(problem)(MASK_CROP_SIZE_PX, np.arange(len(problem.clip)))
+    in_camera = PosesInCamera(poses.R, poses.centre, poses.scale)
+    without = found.energy - term(in_camera, no_bound(in_camera)).value.sum(axis=1)
+    return float(without[0] / without.min() - 1.0)
 
 
 def _hand_spread(clip: Clip, problem: Problem, found: MethodResult) -> float:
