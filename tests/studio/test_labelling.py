@@ -27,7 +27,7 @@ from getagrip.studio.store.export_all import write_labelled_grasps
 from getagrip.studio.store.history import RefusedError
 from getagrip.studio.store.mark_store import Store
 from getagrip.studio.store.tasks import Task
-from helpers.annotation import FIRST, LAST, VIDEO, Clicking, disc, filled, iou
+from helpers.annotation import FIRST, LAST, TAB, VIDEO, Clicking, disc, filled, iou, new
 from helpers.clips import box
 from helpers.environment import Run
 from helpers.labelled_scene import HEIGHT, WIDTH, circle, joints
@@ -111,6 +111,41 @@ def test_files_of_the_same_labels_are_written_once(clicking: Clicking, tmp_path:
     assert inode() == second
     next(hand.parent.glob("masks/*.png")).unlink()
     assert inode() != second
+
+
+def test_a_clip_is_as_far_as_the_result_of_its_current_labels(
+    clicking: Clicking, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where poses are wanted, marks alone are no end; another interval, or other labels, make a result of old."""
+
+    def solve(new_clip: object, shape: object, out: Path, name: str, *_: object) -> str:
+        files.write_json(jobs.result_folder(out, name) / "result.json", {})
+        return "done"
+
+    def state() -> str:
+        (task,) = clicking.project.overview("ann")["tasks"]  # type: ignore[misc]
+        marks = clicking.project.marks(VIDEO, "ann")
+        assert task["state"] == clicking.state()["state"] == marks["state"]
+        return str(task["state"])
+
+    def move_end(frame: int) -> None:
+        about = clicking.about | {"mark": clicking.about["grasp"], "tab": TAB}
+        clicking.project.change(about | {"change": new(), "set": {"end": frame}})
+
+    monkeypatch.setattr(jobs, "reconstruct_grasp_files", solve)
+    assert state() == "marked"
+    clicking.project.wants_poses = True
+    assert state() == "not begun"
+    clicking.label(FIRST)
+    assert state() == "drawn"
+    assert clicking.work("reconstruct", mesh="plate")["state"] == "done"
+    assert state() == "uncertain"  # what was written does not read
+    move_end(LAST - 1)
+    assert state() == "drawn"
+    move_end(LAST)
+    assert state() == "uncertain"
+    clicking.click(LAST, outlines=disc(LAST))
+    assert state() == "drawn"
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,7 @@ class Label(Command):
             print_result(f"{task.key}: draft {n} of {len(found)}")
             failed += not self._does(task.key, partial(self._draft, task))
         self.out.mkdir(parents=True, exist_ok=True)
-        project = Project(found, Store(self.out / DATABASE), self.lens)
+        project = Project(found, Store(self.out / DATABASE), self.lens, wants_poses=True)
         try:
             for task in found:
                 failed += not self._does(task.key, partial(self._mark, project, task))

@@ -44,8 +44,8 @@ from getagrip.studio.store.labels import (
     write_label_file,
 )
 from getagrip.studio.store.mark_store import Store
-from getagrip.studio.store.marks import Grasp, Mark, name_grasp
-from getagrip.studio.store.tasks import Task, open_footage
+from getagrip.studio.store.marks import Grasp, MarkedGrasp
+from getagrip.studio.store.tasks import open_footage
 
 Basis = dict[str, list[tuple[int, int, str]]]
 """Inputs of the drafts of "masks" and "hand": first and last frame, and a checksum of the inputs."""
@@ -78,7 +78,7 @@ class Labelling:
         self._reporting = Lock()
         self.background = BackgroundQueue()
 
-    def found(self, grasp: Grasp) -> HandDetectionFiles:
+    def found(self, grasp: MarkedGrasp) -> HandDetectionFiles:
         """Return the detected hands of a grasp's footage: in its draft's folder, else beside the marks."""
         own = self.out / DRAFTS_FOLDER / grasp.task.key / DETECTED_HANDS_FOLDER
         folder = own if own.is_dir() else self.out / DETECTED_HANDS_FOLDER
@@ -86,23 +86,23 @@ class Labelling:
             return HandDetectionFiles(folder)
         return self._found.setdefault(folder, HandDetectionFiles(folder))
 
-    def lens(self, grasp: Grasp) -> Lens:
+    def lens(self, grasp: MarkedGrasp) -> Lens:
         """Return the camera of a grasp: as given, else that with which it was worked on last, else a guess."""
         known = self.stated_lens if self.stated_lens.is_set else self.store.settings.lens(grasp.mark.mark)
         return known or Lens(guess_focal=True)
 
-    def shape(self, grasp: Grasp) -> jobs.RequestedMesh | None:
+    def shape(self, grasp: MarkedGrasp) -> jobs.RequestedMesh | None:
         """Return the object's mesh as it was stated for a grasp; None where it was not."""
         known = self.store.settings.of(grasp.mark.mark)
         return jobs.RequestedMesh(known["mesh"], known.get("size_mm")) if known.get("mesh") else None
 
-    def progress(self, task: Task, mark: Mark) -> str:
-        """Return how far a grasp is: "not begun", "drawn", or the verdict on a result made after the last change."""
-        times = self.store.keyframes.times(mark.mark, mark.annotator)
-        record = jobs.result_folder(self.out, name_grasp(task, mark)) / "result.json"
-        if record.is_file() and times and record.stat().st_mtime >= times[-1].timestamp():
+    def progress(self, grasp: MarkedGrasp) -> str:
+        """Return how far a grasp is: "not begun", "drawn", or the verdict on the result of its current labels."""
+        record, own = jobs.result_folder(self.out, grasp.name) / "result.json", self._own(grasp)
+        outcome = self.store.settings.of(grasp.mark.mark).get("outcome")
+        if outcome is not None and record.is_file() and outcome["of"] == self._inputs(grasp, self._basis(grasp, own)):
             return str(self._describe(record)["verdict"])
-        return "drawn" if times and self.store.keyframes.standing(mark.mark, mark.annotator) else "not begun"
+        return "drawn" if own else "not begun"
 
     def state_shape(self, grasp: Grasp, shape: jobs.RequestedMesh) -> None:
         """Store the object's mesh for a grasp."""
@@ -306,7 +306,7 @@ class Labelling:
         settings.put(grasp.mark.mark, {"written": {"of": of_code, "confidence": sure}})
         return _Written(of, command, made.confidence)
 
-    def _inputs(self, grasp: Grasp, basis: Basis) -> str:
+    def _inputs(self, grasp: MarkedGrasp, basis: Basis) -> str:
         """Return a checksum of all that the files of a clip are made of."""
         whole = grasp.whole
         segments = [] if whole is None else [(one.start, one.end, one.side, one.state) for _, one in whole.finished]
@@ -362,10 +362,10 @@ class Labelling:
 
         self.background.start(grasp.mark.mark, what, renumbered)
 
-    def _own(self, grasp: Grasp) -> list[KeyFrame]:
+    def _own(self, grasp: MarkedGrasp) -> list[KeyFrame]:
         return self.store.keyframes.standing(grasp.mark.mark, grasp.mark.annotator)
 
-    def _basis(self, grasp: Grasp, own: Sequence[KeyFrame]) -> Basis:
+    def _basis(self, grasp: MarkedGrasp, own: Sequence[KeyFrame]) -> Basis:
         """Return the current inputs of drafts of each kind; empty without labels."""
         first, last = grasp.extent
         frames = [(one, one.labels()) for one in own if first <= one.frame <= last]

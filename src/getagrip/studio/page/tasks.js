@@ -2,18 +2,16 @@
 
 import { $, ask, element, on, pick, player, problem, saving, state, emit } from "./app.js";
 
-const VERDICTS = ["right", "uncertain", "wrong"], PROGRESS = ["not begun", "drawn", ...VERDICTS];
+const VERDICTS = ["right", "uncertain", "wrong"];
 const WORDS = { "not begun": "not begun", drawn: "drawn, no result", right: "looks right", uncertain: "uncertain", wrong: "looks wrong", discarded: "skipped" };
 
-/** How far the grasp is that is labelled, in the list of clips. */
-on("labels", () => {
-  const { task, labels } = state;
-  if (!labels || !PROGRESS.includes(task?.state)) return;
-  const now = labels.result?.current ? labels.result.verdict : labels.keyframes.size ? "drawn" : "not begun";
-  if (now === task.state) return;
-  task.state = now;
+/** How far the open clip is, as the server says. */
+function lay(now) {
+  if (now === undefined || now === state.task.state) return;
+  state.task.state = now;
   drawTasks();
-});
+}
+on("labels", () => state.labels && lay(state.labels.state));
 
 export async function overview() {
   const { project, tasks, categories, reasons, last } = await ask("/api/tasks", { annotator: state.annotator });
@@ -62,12 +60,7 @@ function take(answer) {
   state.interaction = answer.interaction;
   state.newest = answer.newest;
   if (!state.marks.some((mark) => mark.mark === state.chosen)) state.chosen = null;
-  const discarded = state.marks.some((mark) => mark.reason);
-  const now = PROGRESS.includes(state.task.state) ? state.task.state : state.marks.some((mark) => mark.end !== null) ? "marked" : discarded ? "discarded" : state.marks.length ? "started" : "";
-  if (now !== state.task.state) {
-    state.task.state = now;
-    drawTasks();
-  }
+  lay(answer.state);
   emit("marks");
 }
 
