@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from threading import Lock
+from typing import Any
 from uuid import uuid4
 
 import numpy as np
@@ -28,7 +29,8 @@ from getagrip.studio.detect_grasps import boxes_of_polygons
 from getagrip.studio.hands.detect_hands import DETECTED_HANDS_FOLDER, DRAFTS_FOLDER, HandDetectionFiles
 from getagrip.studio.jobs import BackgroundJob, BackgroundQueue, Work
 from getagrip.studio.masks.propagate_clip import keyframe_spans
-from getagrip.studio.next_step import describe_result, discount_confidence, lost_frames, next_step, suggest_frame
+from getagrip.studio.next_step import discount_confidence, lost_frames, next_step, suggest_frame
+from getagrip.studio.shown_result import ResultOutlines, describe_result, take_candidate
 from getagrip.studio.store import grasp_settings, history
 from getagrip.studio.store.export_clip import footage_checksum
 from getagrip.studio.store.history import RefusedError
@@ -49,6 +51,9 @@ from getagrip.studio.store.tasks import open_footage
 
 Basis = dict[str, list[tuple[int, int, str]]]
 """Inputs of the drafts of "masks" and "hand": first and last frame, and a checksum of the inputs."""
+
+OUTLINED_FRAMES = 16
+"""Number of frames of which outlines are sent at once."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,8 @@ class Labelling:
         self.stated_lens = lens
         self._found: dict[Path, HandDetectionFiles] = {}
         self._iou: dict[Path, tuple[int, dict[str, float]]] = {}  # time of a result, its IOU by the frames' names
-        self._verdicts: dict[Path, tuple[int, dict[str, object]]] = {}  # time of a result, and what is said of it
+        self._verdicts: dict[Path, tuple[int, dict[str, Any]]] = {}  # time of a result, and what is said of it
+        self._outlines: tuple[tuple[Path, int], ResultOutlines] | None = None  # of the result shown last, and its time
         self._reports: set[str] = set()  # checksums of report files written by this process
         self._reporting = Lock()
         self.background = BackgroundQueue()
@@ -128,6 +134,7 @@ class Labelling:
         outcome = known.get("outcome")
         solved = outcome is not None and outcome["of"] == inputs
         met = discount_confidence(sure, self._iou_of_result(grasp), drawn) if solved else sure
+        wanted = suggest_frame(met, drawn, *grasp.extent)
         return {
             "grasp": grasp.mark.mark,
             "newest": newest,
@@ -137,12 +144,12 @@ class Labelling:
             "fewest": MIN_CLICKED_JOINTS,
             "keyframes": keyframes,
             "basis": basis,
-            "wanted": suggest_frame(met, drawn, *grasp.extent),
+            "wanted": wanted,
             "found": bool(self.found(grasp).joints),
             "drafts": self.store.drafts.newest(grasp.mark.mark),
             "job": None if job is None else job.status(),
             "settings": {name: value for name, value in known.items() if name in grasp_settings.PAGE_SETTINGS},
-            "result": self._result(grasp, outcome, solved),
+            "result": self._result(grasp, outcome, solved, wanted),
         }
 
     def change(self, grasp: Grasp, content: Json) -> None:
@@ -321,18 +328,70 @@ class Labelling:
             return {}
         if (known := self._iou.get(result)) is None or known[0] != record.stat().st_mtime_ns:
             known = self._iou[result] = record.stat().st_mtime_ns, jobs.iou_by_frame(result)
-        names = {grasp.footage.name(n): n for n in range(grasp.extent[0], grasp.extent[1] + 1)}
+        names = _frame_names(grasp)
         return {names[name]: x for name, x in known[1].items() if name in names}
 
-    def _result(self, grasp: Grasp, outcome: Json | None, solved: bool) -> dict[str, object] | None:
-        """Return what is known of a grasp's result, and whether it is of the ``current`` labels; None without one."""
+    def _result(self, grasp: Grasp, outcome: Json | None, solved: bool, wanted: int | None) -> dict[str, object] | None:
+        """Return what is known of a grasp's result, and whether it is of the ``current`` labels; None without one.
+
+        The steps that it asks for have frames as the page counts them, and their numbers.
+        """
         record = jobs.result_folder(self.out, grasp.name) / "result.json"
         if not record.is_file():
             return None
-        said = "" if outcome is None else outcome["said"]
-        return {"current": solved, "said": said, **self._describe(record)}
+        names, number = _frame_names(grasp), grasp.footage.number
 
-    def _describe(self, record: Path) -> dict[str, object]:
+        def here(steps: list[Json]) -> list[Json]:
+            out = []
+            for step in steps:
+                frames = [names[name] for name in step.get("frames", ()) if name in names]
+                if step["do"] == "draw" and wanted is not None:
+                    frames = [wanted]
+                out.append(step | {"frames": frames, "numbers": [*map(number, frames)]})
+            return [step for step in out if step["frames"] or step["do"] not in ("draw", "cut")]
+
+        about = self._describe(record)
+        found = [one | {"steps": here(one["steps"])} for one in about["findings"]]
+        said = "" if outcome is None else outcome["said"]
+        return {"current": solved, "said": said, **about, "findings": found, "steps": here(about["steps"])}
+
+    def outlines(self, grasp: Grasp, rank: int, first: int) -> dict[str, object]:
+        """Return the outlines of a grasp's result, or a candidate of it, in some frames from ``first`` on.
+
+        ``made`` is the time of the result [us]. Raises ``RefusedError`` without a result, ``GetagripError`` for one
+        that does not read, or an unknown candidate.
+        """
+        result = jobs.result_folder(self.out, grasp.name)
+        if not (result / "result.json").is_file():
+            raise RefusedError("there is no result of this grasp yet")
+        files.folder_inside(self.out, jobs.RESULTS_FOLDER, grasp.name)
+        made = (result / "result.json").stat().st_mtime_ns // 1000
+        if self._outlines is None or self._outlines[0] != (result, made):
+            self._outlines = (result, made), ResultOutlines(result)
+        known, names = self._outlines[1], {n: name for name, n in _frame_names(grasp).items()}
+        some = [n for n in range(first, first + OUTLINED_FRAMES) if names.get(n) in known.rows]
+        frames = {n: known.of(names[n], rank, grasp.footage.size[0]) for n in some}
+        return {"made": made, "candidate": rank, "frames": frames}
+
+    def take_candidate(self, grasp: Grasp, content: Json) -> None:
+        """Start to make a candidate of a grasp's result the result. Raises ``RefusedError``."""
+        rank, outcome = content.get("candidate"), self.store.settings.of(grasp.mark.mark).get("outcome")
+        if type(rank) is not int or outcome is None:
+            raise RefusedError(f"candidate must be one of the result's (got {shorten_value(rank)})")
+
+        def take(job: BackgroundJob) -> str:
+            job.message = f"taking candidate {rank + 1}"
+            folder = files.folder_inside(self.out, jobs.RESULTS_FOLDER) / grasp.name
+            take_candidate(folder, rank)
+            jobs.draw_report(folder, job)
+            self._reports |= {*map(_report_checksum, jobs.report_files(folder).values())}
+            text = f"Candidate {rank + 1} is the result now; what was the result before is candidate {rank + 1}."
+            self.store.settings.put(grasp.mark.mark, {"outcome": outcome | {"said": text}})
+            return text
+
+        self._start(grasp, "candidate", take)
+
+    def _describe(self, record: Path) -> dict[str, Any]:
         """Return when a result was ``made`` [us], and what is said of it; read again only where it changed."""
         made = record.stat().st_mtime_ns // 1000
         if (known := self._verdicts.get(record)) is None or known[0] != made:
@@ -429,6 +488,11 @@ class Labelling:
         if wrong is not None:
             raise wrong
         return ""
+
+
+def _frame_names(grasp: Grasp) -> dict[str, int]:
+    """Return the frames of a grasp by their names."""
+    return {grasp.footage.name(n): n for n in range(grasp.extent[0], grasp.extent[1] + 1)}
 
 
 def _has_clip_files(folder: Path, masks: int) -> bool:

@@ -151,12 +151,16 @@ class Project:
         return self._labels(grasp) | undone
 
     def work(self, content: Json) -> dict[str, object]:
-        """Start to "propagate", write "files" or "reconstruct" a grasp, or "cancel" it. Raises ``RefusedError``."""
+        """Start to "propagate", write "files" or "reconstruct" a grasp, take a "candidate" of its result, or "cancel".
+
+        Raises ``RefusedError``.
+        """
         grasp = self._grasp(content)
         known = {
             "propagate": lambda: self.labelling.propagate(grasp),
             "files": lambda: self.labelling.make(grasp),
             "reconstruct": lambda: self.labelling.reconstruct(grasp, content),
+            "candidate": lambda: self.labelling.take_candidate(grasp, content),
             "cancel": lambda: self.labelling.background.cancel(grasp.mark.mark),
         }
         if not isinstance(what := content.get("work"), str) or what not in known:
@@ -167,6 +171,10 @@ class Project:
     def drafts(self, content: Json, since: int) -> dict[str, object]:
         """Return some drafts of a grasp's frames with numbers above ``since``. Raises ``RefusedError``."""
         return {"drafts": self.store.drafts.since(self._grasp(content).mark.mark, since)}
+
+    def outlines(self, content: Json, candidate: int, first: int) -> dict[str, object]:
+        """Return outlines of a grasp's result in frames from ``first`` on. Raises ``GetagripError``."""
+        return self.labelling.outlines(self._grasp(content), candidate, first)
 
     def labels_file(self, content: Json) -> tuple[str, str]:
         """Return the text of a grasp's label file, and the file's name. Raises ``RefusedError``."""

@@ -40,8 +40,8 @@ MAX_SKIPPED_BODY_BYTES = 64 * 2**20
 """Bytes of a larger body that are read before the answer, so that the sender receives it."""
 STUDIO_STYLESHEETS = ("page", "labels")
 STUDIO_SCRIPTS = (
-    "app", "grasps", "joints", "labelling", "labels", "outlines", "overlay", "page", "panel", "player", "saving",
-    "segments", "settings", "states", "strokes", "tasks", "timeline", "view",
+    "app", "grasps", "joints", "labelling", "labels", "outlines", "overlay", "page", "panel", "player", "results",
+    "saving", "segments", "settings", "states", "strokes", "tasks", "timeline", "view",
 )  # fmt: skip
 PAGE_ROUTES = {
     "/": ("index.html", "text/html"),
@@ -54,6 +54,9 @@ DATA_ROUTES: dict[str, Callable[[Project, dict[str, str]], dict[str, object]]] =
     "/api/marks": lambda project, asked: project.marks(asked.get("task"), asked.get("annotator")),
     "/api/labels": lambda project, asked: project.labels(asked),
     "/api/drafts": lambda project, asked: project.drafts(asked, _parse_whole_number(asked.get("since"))),
+    "/api/outlines": lambda project, asked: project.outlines(
+        asked, _parse_whole_number(asked.get("candidate")), _parse_whole_number(asked.get("first"))
+    ),
     "/api/agreement": lambda project, _: project.agreement(),
 }
 """Functions that answer with JSON, by path."""
