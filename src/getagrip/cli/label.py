@@ -63,6 +63,8 @@ class Label(Command):
     """The largest side of the object's bounding box."""
     to: Annotated[str, arg(metavar="FORMAT")] = "bop"
     """Format of the labels, as for export --to; they are written to a folder of this name in --out."""
+    only_right: Flag = False
+    """Leave out of the labels what looks wrong or uncertain. Without it, it is named."""
     no_page: Flag = False
     """Do not open the page: draft, reconstruct what is labelled, and export."""
     models: OptionalFolder = None
@@ -103,8 +105,13 @@ class Label(Command):
             folder = self.out / self.to
             files.write_csv(self.out / EFFORT_FILE, [Effort._fields, *efforts])
             print_result(str(Effort("in all", *(sum(each) for each in list(zip(*efforts, strict=True))[1:]))))
-            failed += Export(results=tuple(solved), to=self.to, out=folder, overwrite=True, debug=self.debug).run()
-            print_result(f"{folder}: the labels of {format_count(len(solved), 'grasp')}")
+            export = Export(
+                results=tuple(solved), to=self.to, out=folder, only_right=self.only_right, overwrite=True,
+                debug=self.debug,
+            )  # fmt: skip
+            failed += export.run()
+            which = "those that look right of " if self.only_right else ""
+            print_result(f"{folder}: the labels of {which}{format_count(len(solved), 'grasp')}")
         return int(failed > 0)
 
     def check(self) -> None:

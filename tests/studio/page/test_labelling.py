@@ -386,6 +386,17 @@ def test_a_clip_is_done_when_it_has_a_result(context: Any, served: Served, monke
     expect(listed).to_contain_text("uncertain")  # what was written does not read
     page.reload()
     expect(page.locator("#progress")).to_have_text("1 of 2 done")
+    page.select_option("#filter", "doubtful")
+    expect(page.locator("#task-list li")).to_have_count(1)
+    page.select_option("#filter", "open")
+    expect(page.locator("#task-list li")).to_contain_text("another")
+    page.keyboard.press("n")  # to the next of those listed
+    expect(page.locator("#where")).to_have_text("another")
+    page.keyboard.press("p")
+    expect(page.locator("#where")).to_have_text("another")
+    page.select_option("#filter", "all")
+    page.keyboard.press("p")
+    expect(page.locator("#where")).to_have_text("scene")
 
 
 def test_the_next_step_is_shown_and_the_grasp_can_be_left(context: Any, served: Served) -> None:
