@@ -386,7 +386,7 @@ def test_a_clip_is_done_when_it_has_a_result(context: Any, served: Served, monke
     expect(listed).to_contain_text("uncertain")  # what was written does not read
     page.reload()
     expect(page.locator("#progress")).to_have_text("1 of 2 done")
-    page.select_option("#filter", "doubtful")
+    page.select_option("#filter", "amiss")
     expect(page.locator("#task-list li")).to_have_count(1)
     page.select_option("#filter", "open")
     expect(page.locator("#task-list li")).to_contain_text("another")

@@ -6,7 +6,7 @@ const VERDICTS = ["right", "uncertain", "wrong"], DONE = ["marked", "discarded",
 const FILTERS = {
   all: () => true,
   open: (task) => !DONE.includes(task.state),
-  doubtful: (task) => ["uncertain", "wrong"].includes(task.state),
+  amiss: (task) => ["uncertain", "wrong"].includes(task.state),
   done: (task) => DONE.includes(task.state),
 };
 const listed = () => state.tasks.filter(FILTERS[$("filter").value]);
