@@ -43,10 +43,13 @@ STUDIO_SCRIPTS = (
     "app", "grasps", "joints", "labelling", "labels", "outlines", "overlay", "page", "panel", "player", "results",
     "saving", "segments", "settings", "states", "strokes", "tasks", "timeline", "view",
 )  # fmt: skip
+STUDIO_PAGE, REPORT_PARTS = ("getagrip.studio", "page"), ("getagrip.report.pages", "parts")
+"""Packages of files of the page, and their folders."""
 PAGE_ROUTES = {
-    "/": ("index.html", "text/html"),
-    **{f"/{name}.css": (f"{name}.css", "text/css") for name in STUDIO_STYLESHEETS},
-    **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in STUDIO_SCRIPTS},
+    "/": (STUDIO_PAGE, "index.html", "text/html"),
+    "/tokens.css": (REPORT_PARTS, "tokens.css", "text/css"),
+    **{f"/{name}.css": (STUDIO_PAGE, f"{name}.css", "text/css") for name in STUDIO_STYLESHEETS},
+    **{f"/{name}.js": (STUDIO_PAGE, f"{name}.js", "text/javascript") for name in STUDIO_SCRIPTS},
 }
 DATA_ROUTES: dict[str, Callable[[Project, dict[str, str]], dict[str, object]]] = {
     "/api/tasks": lambda project, asked: project.overview(asked.get("annotator")),
@@ -217,8 +220,8 @@ class _StudioHandler(QuietHandler):
             kept = f"{self.server.cookie}={self.server.token}; Path=/; HttpOnly; SameSite=Lax"
             self.send(b"", "text/plain", {"Location": "/", "Set-Cookie": kept}, HTTPStatus.SEE_OTHER)
         elif url.path in PAGE_ROUTES:
-            name, kind = PAGE_ROUTES[url.path]
-            content = (package_files("getagrip.studio") / "page" / name).read_bytes()
+            (package, folder), name, kind = PAGE_ROUTES[url.path]
+            content = (package_files(package) / folder / name).read_bytes()
             self.send(content, f"{kind}; charset=utf-8", STUDIO_PAGE_HEADERS)
         elif url.path == "/frame":
             image, time, number = project.frame(

@@ -179,4 +179,4 @@ on("undone", (undone, frame) => {
 on("task", () => { // another clip is opened: its grasps come first
   if (state.mode === "labels" && !state.info) end();
 });
-for (const button of $("tools").children) button.onclick = () => { choose(button.dataset.tool); button.blur(); };
+for (const button of $("tools").children) button.onclick = () => choose(button.dataset.tool);

@@ -67,7 +67,7 @@ function drawKeyframes() {
     const joints = clicked(one), strokes = Object.values(one.outlines).filter(({ of }) => STROKES.includes(of)).length, drawn = Object.keys(one.outlines).length - strokes;
     const about = [joints && many(joints, "joint"), drawn && many(drawn, "polygon"), strokes && many(strokes, "stroke"), one.hidden && "object not visible", !within(one.frame) && "outside of the grasp"];
     const away = element("button", { textContent: "✕", title: "Delete what is labelled on this frame", onclick: (event) => { event.stopPropagation(); change(one.frame, { deleted: true }); } });
-    const text = element("span", { className: "text" }, `${one.number ?? "…"} `, element("small", { textContent: about.filter(Boolean).join(" · ") }));
+    const text = element("button", { className: "text", title: "Go there" }, `${one.number ?? "…"} `, element("small", { textContent: about.filter(Boolean).join(" · ") }));
     return element("li", { className: one.frame === player.wanted ? "chosen" : "", onclick: () => move(one.frame) }, text, away);
   });
   $("keyframes").replaceChildren(...rows);
@@ -178,16 +178,16 @@ export function drawPanel(joint) {
   say(nextStep(joint));
 }
 
-$("fill").onclick = () => { work("propagate"); $("fill").blur(); };
-$("write").onclick = () => { work("files"); $("write").blur(); };
+$("fill").onclick = () => work("propagate");
+$("write").onclick = () => work("files");
 export function reconstruct() {
   work("reconstruct", shape());
 }
-$("reconstruct").onclick = () => { reconstruct(); $("reconstruct").blur(); };
+$("reconstruct").onclick = reconstruct;
 $("cancel").onclick = () => work("cancel");
 $("take").onclick = () => work("candidate", { candidate: results.candidate() });
 $("show-result").onchange = results.toggle;
 on("field", (id) => { $(id).scrollIntoView({ block: "center" }); $(id).focus(); });
-$("copy").onclick = () => { navigator.clipboard.writeText($("command").textContent); $("copy").blur(); };
-$("hidden").onchange = () => { change(player.wanted, { hidden: $("hidden").checked }); $("hidden").blur(); };
+$("copy").onclick = () => navigator.clipboard.writeText($("command").textContent);
+$("hidden").onchange = () => change(player.wanted, { hidden: $("hidden").checked });
 $("labels-json").onclick = settle;
