@@ -372,7 +372,7 @@ def reconstruct_grasp_files(
     job: BackgroundJob,
     depth: DepthFiles | None = None,
 ) -> str:
-    """Make the clip by ``new_clip`` with the mesh, reconstruct it, and draw its report.
+    """Make the clip by ``new_clip`` with the mesh, and reconstruct it.
 
     Returns the outputs of ``clip new`` and ``reconstruct``, warnings about the clip first. Raises ``GetagripError``
     with the output of a command that failed, ``CancelledError``.
@@ -384,14 +384,13 @@ def reconstruct_grasp_files(
         ("making the clip", lambda: job.run(make)),
         ("adding depth", lambda: lost if depth is None else depth.add_to(clip)),
         ("reconstructing", lambda: job.run(ReconstructCall(clip, result.parent))),
-        ("drawing the report", lambda: draw_report(result, job)),
     ]
     said = []
     for n, (what, work) in enumerate(steps):
         job.message = what
         job.report(n, len(steps))
         said.append(work())
-    return "\n".join(filter(None, said[:-1]))
+    return "\n".join(filter(None, said))
 
 
 def iou_by_frame(result: Path) -> dict[str, float]:

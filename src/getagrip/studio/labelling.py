@@ -28,6 +28,7 @@ from getagrip.studio import jobs
 from getagrip.studio.detect_grasps import boxes_of_polygons
 from getagrip.studio.hands.detect_hands import DETECTED_HANDS_FOLDER, DRAFTS_FOLDER, HandDetectionFiles
 from getagrip.studio.jobs import BackgroundJob, BackgroundQueue, Work
+from getagrip.studio.masks.filled_maps import FilledFrames, FilledMaps
 from getagrip.studio.masks.propagate_clip import keyframe_spans
 from getagrip.studio.next_step import discount_confidence, lost_frames, next_step, suggest_frame
 from getagrip.studio.shown_result import ResultOutlines, describe_result, take_candidate
@@ -82,6 +83,7 @@ class Labelling:
         self._outlines: tuple[tuple[Path, int], ResultOutlines] | None = None  # of the result shown last, and its time
         self._reports: set[str] = set()  # checksums of report files written by this process
         self._reporting = Lock()
+        self._filled = FilledMaps()
         self.background = BackgroundQueue()
 
     def found(self, grasp: MarkedGrasp) -> HandDetectionFiles:
@@ -212,13 +214,26 @@ class Labelling:
         shape = jobs.parse_requested_mesh(content)
         self.state_shape(grasp, shape)
         self._check_enough(grasp, self.labels(grasp))
-        self._start(grasp, "reconstruct", lambda job: self.solve(grasp, shape, job))
+
+        def work(job: BackgroundJob) -> str:
+            said = self._solve(grasp, shape, job)
+            self._draw_report_later(grasp)
+            return said
+
+        self._start(grasp, "reconstruct", work)
 
     def solve(self, grasp: Grasp, shape: jobs.RequestedMesh, job: BackgroundJob) -> str:
-        """Write the files, make a clip of them and reconstruct it; return the outcome as text.
+        """Write the files, make a clip of them, reconstruct it and draw its report; return the outcome as text.
 
         Raises ``GetagripError``, ``CancelledError``.
         """
+        said = self._solve(grasp, shape, job)
+        job.message = "drawing the report"
+        self.draw_report(grasp, job)
+        return said
+
+    def _solve(self, grasp: Grasp, shape: jobs.RequestedMesh, job: BackgroundJob) -> str:
+        """Do the same without the report."""
         from getagrip.studio.store.export_clip import new_clip_call
 
         value = self.labels(grasp)
@@ -229,7 +244,6 @@ class Labelling:
         new_clip = new_clip_call(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
         said = jobs.reconstruct_grasp_files(new_clip, shape, self.out, grasp.name, job, self.depth)
         result, number = jobs.result_folder(self.out, grasp.name), grasp.footage.number
-        self._reports |= {*map(_report_checksum, jobs.report_files(result).values())}
         met = discount_confidence(confidence, self._iou_of_result(grasp), value.drawn)
         wanted = suggest_frame(met, value.drawn, *grasp.extent)
         boxes = boxes_of_polygons({n: one.object or () for n, one in value.frames.items()})
@@ -268,10 +282,27 @@ class Labelling:
         with self._reporting:
             found = jobs.report_files(result)
             if name not in found or _report_checksum(found[name]) not in self._reports:
-                jobs.draw_report(result, BackgroundJob("report"))
+                self._draw(result, BackgroundJob("report"))
                 found = jobs.report_files(result)
-                self._reports |= {*map(_report_checksum, found.values())}
         return found[name]
+
+    def draw_report(self, grasp: Grasp, job: BackgroundJob) -> None:
+        """Write the report of a grasp's result. Raises ``GetagripError``, ``CancelledError``."""
+        with self._reporting:
+            self._draw(jobs.result_folder(self.out, grasp.name), job)
+
+    def _draw(self, result: Path, job: BackgroundJob) -> None:
+        jobs.draw_report(result, job)
+        self._reports |= {*map(_report_checksum, jobs.report_files(result).values())}
+
+    def _draw_report_later(self, grasp: Grasp) -> None:
+        """Write a report once nothing else is to be done; other work on the grasp cancels it."""
+
+        def work(job: BackgroundJob) -> str:
+            self.draw_report(grasp, job)
+            return ""
+
+        self.background.start(f"report {grasp.mark.mark}", "report", work)
 
     def write(self, grasp: Grasp, value: Labels, job: BackgroundJob) -> str:
         """Write ``labels-<name>.json``, and ``<name>/`` with hand and masks; return the command that makes a clip.
@@ -286,7 +317,8 @@ class Labelling:
         self.out.mkdir(parents=True, exist_ok=True)
         lens, settings, out = self.lens(grasp), self.store.settings, self.out / grasp.name
         settings.put_lens(grasp.mark.mark, lens)
-        of = self._inputs(grasp, self._basis(grasp, self._own(grasp)))
+        basis = self._basis(grasp, self._own(grasp))
+        of, words = self._inputs(grasp, basis), _words_by_frame(basis["masks"])
         of_code = _basis_checksum(of, __version__)
         if (path := self._segments(grasp)) is not None and grasp.whole is not None:
             files.write_json(path, {grasp.task.key: grasp.whole.listed().fields})
@@ -307,7 +339,7 @@ class Labelling:
 
             made = write_labelled_clip_files(
                 value, image, lens, out, overwrite=True, done=lambda masks: job.report(masks, frames),
-                found=self.found(grasp), name=footage.name,
+                found=self.found(grasp), name=footage.name, filled=FilledFrames(self._filled, grasp.mark.mark, words),
             )  # fmt: skip
         sure = {str(n): float(x) for n, x in made.confidence.items()}
         settings.put(grasp.mark.mark, {"written": {"of": of_code, "confidence": sure}})
@@ -383,8 +415,7 @@ class Labelling:
             job.message = f"taking candidate {rank + 1}"
             folder = files.folder_inside(self.out, jobs.RESULTS_FOLDER) / grasp.name
             take_candidate(folder, rank)
-            jobs.draw_report(folder, job)
-            self._reports |= {*map(_report_checksum, jobs.report_files(folder).values())}
+            self._draw_report_later(grasp)
             text = f"Candidate {rank + 1} is the result now; what was the result before is candidate {rank + 1}."
             self.store.settings.put(grasp.mark.mark, {"outcome": outcome | {"said": text}})
             return text
@@ -419,6 +450,7 @@ class Labelling:
             except UsageError as error:
                 raise UsageError(re.sub(r"frame ([0-9]{1,9})", numbered, str(error))) from error
 
+        self.background.cancel(f"report {grasp.mark.mark}")
         self.background.start(grasp.mark.mark, what, renumbered)
 
     def _own(self, grasp: MarkedGrasp) -> list[KeyFrame]:
@@ -465,7 +497,7 @@ class Labelling:
         from getagrip.studio.masks import polygon_drafts
 
         drafts, key, frames = self.store.drafts, grasp.mark.mark, labels.last - labels.first + 1
-        words = {kind: {n: word for a, b, word in rows for n in range(a, b + 1)} for kind, rows in basis.items()}
+        words = {kind: _words_by_frame(rows) for kind, rows in basis.items()}
         made = {kind: drafts.bases(key, kind) for kind in basis}
         known = {kind: {n for n, word in rows.items() if made[kind].get(n) == word} for kind, rows in words.items()}
         wrong: UsageError | None = None
@@ -482,12 +514,18 @@ class Labelling:
                     wrong = error
             if len(known["masks"]) < len(words["masks"]):
                 seen = self.found(grasp).mask
-                for n, content in polygon_drafts.draft_masks(labels, footage.image, known["masks"], seen):
+                keep = lambda made: self._filled.put(key, words["masks"][made.frame], made)  # noqa: E731
+                for n, content in polygon_drafts.draft_masks(labels, footage.image, known["masks"], seen, keep):
                     drafts.put(key, "masks", words["masks"][n], {n: content | {"number": footage.number(n)}})
                     job.report(n - labels.first + 1, frames)
         if wrong is not None:
             raise wrong
         return ""
+
+
+def _words_by_frame(rows: Sequence[tuple[int, int, str]]) -> dict[int, str]:
+    """Return the checksums of rows of ``Basis``, by frame."""
+    return {n: word for first, last, word in rows for n in range(first, last + 1)}
 
 
 def _frame_names(grasp: Grasp) -> dict[str, int]:

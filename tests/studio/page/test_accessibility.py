@@ -37,8 +37,11 @@ def test_contrast_labels_and_roles(
     found = tuple(Finding("hand-size", worse, 1.0, 0.5, f"it is {worse}") for worse in (True, False))
 
     def ran(words: list[str], job: object) -> str:
-        if words[0] == "report":
-            one, folder = true_result(small_clip()[0], None), Path(words[1])
+        if words[0] == "reconstruct":
+            one, folder = (
+                true_result(small_clip()[0], None),
+                Path(words[words.index("--out") + 1]) / Path(words[1]).name,
+            )
             about: dict[str, Any] = {"findings": found, "assumptions": {"scale": "by the hand"}}
             about["probability_right"] = Probability(0.5, "")
             write_result(replace(one, **about), folder, "", {}, tmp_path, overwrite=folder.is_dir())

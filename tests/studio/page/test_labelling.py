@@ -58,11 +58,17 @@ def write_report(words: Sequence[str]) -> str:
     return "report: done"
 
 
+def folder_of(words: Sequence[str]) -> Path:
+    """The folder of the result that a call of ``reconstruct`` makes."""
+    return Path(words[words.index("--out") + 1]) / Path(words[1]).name
+
+
 def write_empty_report(words: Sequence[str]) -> str:
-    """What the last of the commands writes, without a fit."""
+    """What the commands write, without a fit."""
+    if words[0] == "reconstruct":
+        folder_of(words).mkdir(parents=True, exist_ok=True)
+        (folder_of(words) / "result.json").touch()
     if words[0] == "report":
-        Path(words[1]).mkdir(parents=True, exist_ok=True)
-        (Path(words[1]) / "result.json").touch()
         write_report(words)
     return f"{words[0]}: done"
 
@@ -251,10 +257,11 @@ def test_one_verdict_says_what_the_result_is(
     ])  # fmt: skip
 
     def ran(words: Sequence[str], job: BackgroundJob) -> str:
-        if words[0] == "report":
-            shutil.rmtree(words[1], ignore_errors=True)
-            write_result(replace(true_result(small_clip()[0], None), **next(results)), Path(words[1]), "", {}, tmp_path)
-        return write_empty_report(words)
+        if words[0] == "reconstruct":
+            shutil.rmtree(folder_of(words), ignore_errors=True)
+            one = replace(true_result(small_clip()[0], None), **next(results))
+            write_result(one, folder_of(words), "", {}, tmp_path)
+        return write_report(words) if words[0] == "report" else ""
 
     monkeypatch.setattr(jobs, "run_command", ran)
     label_frame(served)
@@ -299,7 +306,7 @@ def test_the_result_is_in_the_picture(
 
     def ran(words: Sequence[str], job: BackgroundJob) -> str:
         if words[0] == "reconstruct":
-            write_result_of_footage(Path(words[words.index("--out") + 1]) / Path(words[1]).name, tmp_path)
+            write_result_of_footage(folder_of(words), tmp_path)
             return "reconstruct: done"
         return write_report(words) if words[0] == "report" else "clip: done"
 
