@@ -11,12 +11,14 @@ An estimator is a user's script that runs in an environment of its own, on a fol
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shlex
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import isnan
 from pathlib import Path
@@ -195,6 +197,14 @@ def _run_background_job(job: BackgroundJob, work: Work) -> None:
         job.state, job.message = "failed", str(error)
     except Exception as error:  # nobody sees a thread's errors: the page shows them
         job.state, job.message = "failed", f"an error of the program: {type(error).__name__}: {error}"
+    finally:
+        _return_freed_memory()
+
+
+def _return_freed_memory() -> None:
+    """Give freed memory back to the system; glibc keeps most of it between the arrays that are still in use."""
+    with suppress(AttributeError, OSError, TypeError):  # another library of C
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 @dataclass(frozen=True)
