@@ -73,6 +73,7 @@ def test_what_is_labelled_is_solved_once_and_exported(videos: Path, run: Run, mo
         return "it is held"
 
     monkeypatch.setattr(jobs, "reconstruct_grasp_files", solve)
+    monkeypatch.setattr(jobs, "draw_report", lambda *_: "")
     monkeypatch.setattr(Export, "run", lambda self: exported.append((self.results, self.to, self.out)) or 0)
     for _ in range(2):
         status, out, err = run(*LABEL)

@@ -6,6 +6,7 @@ import csv
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from getagrip.export.bop import image_ids
 from getagrip.export.scene import StageFrame
 from getagrip.geometry import se3
 from getagrip.result import write_result
+from getagrip.result.findings import Finding, Probability
 from helpers.environment import Run
 from helpers.results import result_and_clip
 
@@ -276,6 +278,32 @@ def test_the_command_exports_results_and_names_what_it_cannot(clip_folder: Path,
     status, _, err = run("export", tmp_path / "results", "--to", "pdf")
     assert (status, all(name in err for name in EXPORT_FORMATS)) == (2, True)
     assert all(f"{name}:" in run("export", "--help")[1] for name in EXPORT_FORMATS)
+
+
+def test_what_does_not_look_right_is_flagged_and_can_be_left_out(clip_folder: Path, tmp_path: Path, run: Run) -> None:
+    result, _ = result_and_clip()
+    serious = Finding("hand-size", True, 2.0, 1.0, "too large")
+    kinds: dict[str, dict[str, Any]] = {
+        "right": {"probability_right": Probability(0.95, "")},
+        "uncertain": {"probability_right": None},
+        "wrong": {"probability_right": Probability(0.95, ""), "findings": (serious,)},
+    }
+    for name, about in kinds.items():
+        one = replace(result, frames=read_clip(clip_folder).frames, **{"findings": (), **about})
+        write_result(one, tmp_path / "results" / name, input_sha256(clip_folder), {}, clip_folder)
+    every, some = tmp_path / "every", tmp_path / "some"
+    status, _, err = run("export", tmp_path / "results", "--to", "csv", "--out", every)
+    assert status == 0
+    assert "is uncertain" in err
+    assert "looks wrong, with 1 serious finding" in err
+    for name in kinds:
+        assert json.loads((every / name / "about.json").read_text())["verdict"] == name
+    assert json.loads((every / "wrong" / "about.json").read_text())["findings_serious"] == 1
+    status, _, err = run("export", tmp_path / "results", "--to", "csv", "--out", some, "--only-right")
+    assert (status, err.count("left out")) == (0, 2)
+    assert [path.name for path in some.iterdir()] == ["right"]
+    _, _, err = run("export", tmp_path / "results", "--to", "csv", "--out", every, "--only-right", "--overwrite")
+    assert f"an earlier export stays in {every / 'wrong'}" in err
 
 
 def test_uneven_frames_are_resampled(scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:

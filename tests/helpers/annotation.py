@@ -93,9 +93,9 @@ def disc(frame: int, closed: bool = True) -> dict[str, Any]:
     return {"the-disc": {"of": "object", "closed": closed, "points": circle(frame)}}
 
 
-def filled(outlines: list[Any]) -> np.ndarray:
+def filled(outlines: list[Any], size: tuple[int, int] = (WIDTH, HEIGHT)) -> np.ndarray:
     flat = [np.ravel(shape).tolist() for shape in outlines]
-    return fill_polygons(Path(), "", flat, (WIDTH, HEIGHT))
+    return fill_polygons(Path(), "", flat, size)
 
 
 def iou(a: np.ndarray, b: np.ndarray) -> float:

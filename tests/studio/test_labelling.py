@@ -20,14 +20,16 @@ from getagrip.io import files
 from getagrip.io.images import write_image
 from getagrip.readers.footage import VideoFootage
 from getagrip.studio import jobs
-from getagrip.studio.masks import propagate_clip
+from getagrip.studio.masks import filled_maps, propagate_clip
+from getagrip.studio.masks.filled_maps import FilledFrames, FilledMaps
 from getagrip.studio.masks.polygon_drafts import trace_polygons
+from getagrip.studio.masks.propagate_clip import PropagatedLabels
 from getagrip.studio.project import Project
 from getagrip.studio.store.export_all import write_labelled_grasps
 from getagrip.studio.store.history import RefusedError
 from getagrip.studio.store.mark_store import Store
 from getagrip.studio.store.tasks import Task
-from helpers.annotation import FIRST, LAST, VIDEO, Clicking, disc, filled, iou
+from helpers.annotation import FIRST, LAST, TAB, VIDEO, Clicking, disc, filled, iou, new
 from helpers.clips import box
 from helpers.environment import Run
 from helpers.labelled_scene import HEIGHT, WIDTH, circle, joints
@@ -80,6 +82,7 @@ def test_a_stroke_is_asked_for_where_the_result_of_these_masks_does_not_meet_the
         return "done"
 
     monkeypatch.setattr(jobs, "reconstruct_grasp_files", solve)
+    monkeypatch.setattr(jobs, "draw_report", lambda *_: "")
     monkeypatch.setattr(jobs, "iou_by_frame", lambda _: less)
     clicking.label(FIRST)
     clicking.label(LAST)
@@ -111,6 +114,92 @@ def test_files_of_the_same_labels_are_written_once(clicking: Clicking, tmp_path:
     assert inode() == second
     next(hand.parent.glob("masks/*.png")).unlink()
     assert inode() != second
+
+
+def test_a_clip_is_as_far_as_the_result_of_its_current_labels(
+    clicking: Clicking, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where poses are wanted, marks alone are no end; another interval, or other labels, make a result of old."""
+
+    def solve(new_clip: object, shape: object, out: Path, name: str, *_: object) -> str:
+        files.write_json(jobs.result_folder(out, name) / "result.json", {})
+        return "done"
+
+    def state() -> str:
+        (task,) = clicking.project.overview("ann")["tasks"]  # type: ignore[misc]
+        marks = clicking.project.marks(VIDEO, "ann")
+        assert task["state"] == clicking.state()["state"] == marks["state"]
+        return str(task["state"])
+
+    def move_end(frame: int) -> None:
+        about = clicking.about | {"mark": clicking.about["grasp"], "tab": TAB}
+        clicking.project.change(about | {"change": new(), "set": {"end": frame}})
+
+    monkeypatch.setattr(jobs, "reconstruct_grasp_files", solve)
+    monkeypatch.setattr(jobs, "draw_report", lambda *_: "")
+    assert state() == "marked"
+    clicking.project.wants_poses = True
+    assert state() == "not begun"
+    clicking.label(FIRST)
+    assert state() == "drawn"
+    assert clicking.work("reconstruct", mesh="plate")["state"] == "done"
+    assert state() == "uncertain"  # what was written does not read
+    move_end(LAST - 1)
+    assert state() == "drawn"
+    move_end(LAST)
+    assert state() == "uncertain"
+    clicking.click(LAST, outlines=disc(LAST))
+    assert state() == "drawn"
+
+
+def test_masks_that_were_filled_in_are_not_filled_in_again_for_the_files(
+    clicking: Clicking, scene_video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The files are those of a server that was started anew, to the byte; what changed is done again."""
+    spans = list[tuple[int, int]]()
+    propagate = propagate_clip._propagate_span
+
+    def counted(image: Any, keys: Any, span: Any, hand: Any) -> Any:
+        spans.append((span.first, span.last))
+        return propagate(image, keys, span, hand)
+
+    def written(one: Clicking) -> dict[str, bytes]:
+        assert one.work("files")["state"] == "done"
+        return {path.name: path.read_bytes() for path in sorted(tmp_path.glob("*/masks/*.png"))}
+
+    monkeypatch.setattr(propagate_clip, "_propagate_span", counted)
+    clicking.label(FIRST)
+    clicking.label(LAST)
+    assert clicking.work("propagate")["state"] == "done"
+    spans.clear()
+    kept = written(clicking)
+    assert len(kept) == LAST - FIRST + 1
+    assert spans == []
+    clicking.click(FIRST, hidden=False, outlines={"in-front": {"of": "front", "closed": True, "points": circle(1)}})
+    assert written(clicking) != kept  # nothing was filled in since
+    assert spans == [(FIRST, FIRST), (FIRST + 1, LAST - 1)]
+    clicking.undo()
+    for path in tmp_path.glob("*/masks/*.png"):
+        path.unlink()
+    again = Project([Task(VIDEO, VIDEO, scene_video)], Store(tmp_path / DATABASE))
+    first, clicking.project = clicking.project, again
+    assert written(clicking) == kept
+    first.close()
+
+
+def test_kept_maps_have_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    maps = FilledMaps()
+    made = [PropagatedLabels(n, np.full((20, 30), n, np.uint8), 0.5) for n in range(3)]
+    for one in made:
+        maps.put("a", "of this", one)
+    frames = FilledFrames(maps, "a", {0: "of this", 1: "of that", 2: "of this"})
+    assert [n in frames for n in range(4)] == [True, False, True, False]
+    found = frames.at(2)
+    assert found is not None
+    assert (found.confidence, found.labels.tolist()) == (0.5, made[2].labels.tolist())
+    monkeypatch.setattr(filled_maps, "MAX_KEPT_BYTES", 40)
+    maps.put("a", "of this", made[2])
+    assert [n in frames for n in range(4)] == [False, False, True, False]
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from getagrip.cli.evaluate import list_result_folders
 from getagrip.errors import InputError, UsageError, unknown_choice_error
 from getagrip.io import files, plugins
 from getagrip.io.options import Flag, OptionalFile, OptionalFolder
-from getagrip.io.terminal import print_result
+from getagrip.io.terminal import format_count, print_note, print_result
 
 if TYPE_CHECKING:
     from getagrip.export import Scene
@@ -85,6 +85,9 @@ class Export(Command):
     """Resample to this rate, evenly [frames per second]: poses are interpolated, images are the nearest ones."""
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
+    only_right: Flag = False
+    """Leave out results that look wrong or uncertain. Without it they are exported and named, and about.json says what
+    each looks like."""
     overwrite: Flag = False
     """Replace exports that are there already."""
 
@@ -125,17 +128,30 @@ class Export(Command):
                 if self.out is None and folder != path:
                     files.refuse_link(folder)
                 _, scene = _read_scene(folder, self.clips)
+                target = folder / f"export-{self.to}" if self.out is None else self.out / folder.resolve().name
+                if scene.verdict != "right":
+                    _flag(scene, self.only_right, target)
+                    if self.only_right:
+                        continue
                 scene = scene if self.fps is None else scene.even(self.fps)
                 if dataset is not None:
                     known, split = scene.name in dataset.clips, "test" if scene.name in tests else "train"
                     episode = "there already" if known else f"episode {dataset.add(scene, split)}, {split}"
                     print_result(f"{scene.name}: {episode}")
                     continue
-                target = folder / f"export-{self.to}" if self.out is None else self.out / folder.resolve().name
                 with plugins.convert_base_exceptions():
                     made = export(scene, target, self.to, self.overwrite)
                 print_result(str(made))
         return int(failures.any)
+
+
+def _flag(scene: Scene, left_out: bool, target: Path) -> None:
+    """Print that a result does not look right and, if it is left out, name an earlier export of it."""
+    serious = scene.findings_serious
+    why = f", with {format_count(serious, 'serious finding')}" if serious else ""
+    looks = f"looks {scene.verdict}" if scene.verdict == "wrong" else "is uncertain"
+    stays = f"; an earlier export stays in {target}" if left_out and target.is_dir() else ""
+    print_note(f"{scene.name} {looks}{why}{': left out' if left_out else ''}{stays}")
 
 
 def _clip_name(folder: Path) -> str:

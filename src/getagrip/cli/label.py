@@ -63,6 +63,8 @@ class Label(Command):
     """The largest side of the object's bounding box."""
     to: Annotated[str, arg(metavar="FORMAT")] = "bop"
     """Format of the labels, as for export --to; they are written to a folder of this name in --out."""
+    only_right: Flag = False
+    """Leave out of the labels what looks wrong or uncertain. Without it, it is named."""
     no_page: Flag = False
     """Do not open the page: draft, reconstruct what is labelled, and export."""
     models: OptionalFolder = None
@@ -84,7 +86,7 @@ class Label(Command):
             print_result(f"{task.key}: draft {n} of {len(found)}")
             failed += not self._does(task.key, partial(self._draft, task))
         self.out.mkdir(parents=True, exist_ok=True)
-        project = Project(found, Store(self.out / DATABASE), self.lens)
+        project = Project(found, Store(self.out / DATABASE), self.lens, wants_poses=True)
         try:
             for task in found:
                 failed += not self._does(task.key, partial(self._mark, project, task))
@@ -103,8 +105,13 @@ class Label(Command):
             folder = self.out / self.to
             files.write_csv(self.out / EFFORT_FILE, [Effort._fields, *efforts])
             print_result(str(Effort("in all", *(sum(each) for each in list(zip(*efforts, strict=True))[1:]))))
-            failed += Export(results=tuple(solved), to=self.to, out=folder, overwrite=True, debug=self.debug).run()
-            print_result(f"{folder}: the labels of {format_count(len(solved), 'grasp')}")
+            export = Export(
+                results=tuple(solved), to=self.to, out=folder, only_right=self.only_right, overwrite=True,
+                debug=self.debug,
+            )  # fmt: skip
+            failed += export.run()
+            which = "those that look right of " if self.only_right else ""
+            print_result(f"{folder}: the labels of {which}{format_count(len(solved), 'grasp')}")
         return int(failed > 0)
 
     def check(self) -> None:

@@ -26,6 +26,7 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.io import files
 from getagrip.io.terminal import print_note
 from getagrip.result import FrameKind, Reconstruction
+from getagrip.result.findings import Verdict
 
 OBJECT_COLOUR, HAND_COLOUR = (0.47, 0.60, 0.68), (0.86, 0.68, 0.58)
 EVEN_STEP_TOLERANCE = 0.5
@@ -87,6 +88,7 @@ class Scene:
         image_files: (T,) files of the images; None for a frame without an image.
         other_hand: of a timeline, the hand of the other side, with the frames in which it is known.
         probability: calibrated probability that the poses are right relative to the hand; None without calibration.
+        verdict: judgement of the result in a word: right, uncertain or wrong.
         findings_serious: number of serious findings; with any the result is probably worthless.
         distance_interval: interval with 90 % of the object's distance from the camera, median over frames [m]; None if
             unknown.
@@ -117,6 +119,7 @@ class Scene:
     image_files: tuple[Path | None, ...] = ()
     other_hand: OtherHand | None = None
     probability: float | None = None
+    verdict: Verdict = "uncertain"
     findings_serious: int = 0
     distance_interval: tuple[float, float] | None = None
 
@@ -152,6 +155,7 @@ class Scene:
             image_files=tuple(some.image_file(n) for n in range(len(some))),
             other_hand=some.other_hand,
             probability=None if result.probability_right is None else result.probability_right.value,
+            verdict=result.verdict,
             findings_serious=sum(finding.serious for finding in result.findings),
             distance_interval=None if away is None else (away[0] / 1e3, away[1] / 1e3),
         )
@@ -258,6 +262,9 @@ class Scene:
             "time_s": self.time,
             "frame_kind": list(self.frame_kind),
             "files": written,
+            "verdict": self.verdict,
+            "probability_right": self.probability,
+            "findings_serious": self.findings_serious,
             "notes": list(self.notes),
             "axes": "camera frame: x right, y down, z forward; metres; T_a_b brings points of frame b to frame a",
             "world_up": None if self.world is None else self.world.up,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, TypeAlias
 
 from getagrip.errors import InputError, escape_unprintable
 from getagrip.io.files import Json, shorten_value
@@ -66,6 +67,11 @@ MIN_SHOWN_PROBABILITY = 0.01
 """Distance from 0 and 1 below which the calibration is too coarse to show a number."""
 ASSUMED_MESH = "assumed mesh"
 """Entry of ``Probability.beyond`` for a mesh that is not the object's own."""
+Verdict: TypeAlias = Literal["right", "uncertain", "wrong"]
+"""Judgement of a result in a word."""
+RIGHT_PROBABILITY, WRONG_PROBABILITY = 0.8, 0.2
+"""Probabilities, of a draft that it looks right, else of its pose in the hand, from which on a result looks right, and
+up to which wrong."""
 MIN_PLAUSIBLE_PROBABILITY = 0.015
 """Probability from which on a result with an assumed mesh probably looks right (docs/draft.md)."""
 

@@ -17,7 +17,16 @@ from getagrip.geometry import se3
 from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData, view
 from getagrip.io.files import shorten_value
-from getagrip.result.findings import Finding, Probability, describe_looks, read_checks, read_probability
+from getagrip.result.findings import (
+    RIGHT_PROBABILITY,
+    WRONG_PROBABILITY,
+    Finding,
+    Probability,
+    Verdict,
+    describe_looks,
+    read_checks,
+    read_probability,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -324,6 +333,20 @@ class Reconstruction(ArrayData):
     def looks(self) -> str:
         """Probable visual quality, for drafts and results with an assumed mesh; else, and without one, empty."""
         return describe_looks(self.probability_right, self.probability_looks_right)
+
+    @property
+    def verdict(self) -> Verdict:
+        """The judgement in a word: wrong with a serious finding, uncertain where nothing vouches for it."""
+        probability = self.probability_looks_right or self.probability_right
+        if any(finding.serious for finding in self.findings) or "wrong" in self.looks:
+            return "wrong"
+        if probability is None:
+            return "uncertain"
+        if probability.by_eye:  # of an assumed mesh, whose probability is low even where it looks right
+            return "right"
+        if probability.value >= RIGHT_PROBABILITY:
+            return "right"
+        return "wrong" if probability.value <= WRONG_PROBABILITY else "uncertain"
 
     @property
     def in_hand(self) -> Float[ndarray, "n T 4 4"]:

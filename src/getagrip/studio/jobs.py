@@ -11,12 +11,14 @@ An estimator is a user's script that runs in an environment of its own, on a fol
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shlex
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import isnan
 from pathlib import Path
@@ -195,6 +197,14 @@ def _run_background_job(job: BackgroundJob, work: Work) -> None:
         job.state, job.message = "failed", str(error)
     except Exception as error:  # nobody sees a thread's errors: the page shows them
         job.state, job.message = "failed", f"an error of the program: {type(error).__name__}: {error}"
+    finally:
+        _return_freed_memory()
+
+
+def _return_freed_memory() -> None:
+    """Give freed memory back to the system; glibc keeps most of it between the arrays that are still in use."""
+    with suppress(AttributeError, OSError, TypeError):  # another library of C
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 @dataclass(frozen=True)
@@ -372,7 +382,7 @@ def reconstruct_grasp_files(
     job: BackgroundJob,
     depth: DepthFiles | None = None,
 ) -> str:
-    """Make the clip by ``new_clip`` with the mesh, reconstruct it, and draw its report.
+    """Make the clip by ``new_clip`` with the mesh, and reconstruct it.
 
     Returns the outputs of ``clip new`` and ``reconstruct``, warnings about the clip first. Raises ``GetagripError``
     with the output of a command that failed, ``CancelledError``.
@@ -384,14 +394,13 @@ def reconstruct_grasp_files(
         ("making the clip", lambda: job.run(make)),
         ("adding depth", lambda: lost if depth is None else depth.add_to(clip)),
         ("reconstructing", lambda: job.run(ReconstructCall(clip, result.parent))),
-        ("drawing the report", lambda: draw_report(result, job)),
     ]
     said = []
     for n, (what, work) in enumerate(steps):
         job.message = what
         job.report(n, len(steps))
         said.append(work())
-    return "\n".join(filter(None, said[:-1]))
+    return "\n".join(filter(None, said))
 
 
 def iou_by_frame(result: Path) -> dict[str, float]:

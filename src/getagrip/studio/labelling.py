@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from threading import Lock
+from typing import Any
 from uuid import uuid4
 
 import numpy as np
@@ -27,8 +28,10 @@ from getagrip.studio import jobs
 from getagrip.studio.detect_grasps import boxes_of_polygons
 from getagrip.studio.hands.detect_hands import DETECTED_HANDS_FOLDER, DRAFTS_FOLDER, HandDetectionFiles
 from getagrip.studio.jobs import BackgroundJob, BackgroundQueue, Work
+from getagrip.studio.masks.filled_maps import FilledFrames, FilledMaps
 from getagrip.studio.masks.propagate_clip import keyframe_spans
-from getagrip.studio.next_step import describe_result, discount_confidence, lost_frames, next_step, suggest_frame
+from getagrip.studio.next_step import discount_confidence, lost_frames, next_step, suggest_frame
+from getagrip.studio.shown_result import ResultOutlines, describe_result, take_candidate
 from getagrip.studio.store import grasp_settings, history
 from getagrip.studio.store.export_clip import footage_checksum
 from getagrip.studio.store.history import RefusedError
@@ -44,11 +47,14 @@ from getagrip.studio.store.labels import (
     write_label_file,
 )
 from getagrip.studio.store.mark_store import Store
-from getagrip.studio.store.marks import Grasp, Mark, name_grasp
-from getagrip.studio.store.tasks import Task, open_footage
+from getagrip.studio.store.marks import Grasp, MarkedGrasp
+from getagrip.studio.store.tasks import open_footage
 
 Basis = dict[str, list[tuple[int, int, str]]]
 """Inputs of the drafts of "masks" and "hand": first and last frame, and a checksum of the inputs."""
+
+OUTLINED_FRAMES = 16
+"""Number of frames of which outlines are sent at once."""
 
 
 @dataclass(frozen=True)
@@ -73,12 +79,14 @@ class Labelling:
         self.stated_lens = lens
         self._found: dict[Path, HandDetectionFiles] = {}
         self._iou: dict[Path, tuple[int, dict[str, float]]] = {}  # time of a result, its IOU by the frames' names
-        self._verdicts: dict[Path, tuple[int, dict[str, object]]] = {}  # time of a result, and what is said of it
+        self._verdicts: dict[Path, tuple[int, dict[str, Any]]] = {}  # time of a result, and what is said of it
+        self._outlines: tuple[tuple[Path, int], ResultOutlines] | None = None  # of the result shown last, and its time
         self._reports: set[str] = set()  # checksums of report files written by this process
         self._reporting = Lock()
+        self._filled = FilledMaps()
         self.background = BackgroundQueue()
 
-    def found(self, grasp: Grasp) -> HandDetectionFiles:
+    def found(self, grasp: MarkedGrasp) -> HandDetectionFiles:
         """Return the detected hands of a grasp's footage: in its draft's folder, else beside the marks."""
         own = self.out / DRAFTS_FOLDER / grasp.task.key / DETECTED_HANDS_FOLDER
         folder = own if own.is_dir() else self.out / DETECTED_HANDS_FOLDER
@@ -86,23 +94,23 @@ class Labelling:
             return HandDetectionFiles(folder)
         return self._found.setdefault(folder, HandDetectionFiles(folder))
 
-    def lens(self, grasp: Grasp) -> Lens:
+    def lens(self, grasp: MarkedGrasp) -> Lens:
         """Return the camera of a grasp: as given, else that with which it was worked on last, else a guess."""
         known = self.stated_lens if self.stated_lens.is_set else self.store.settings.lens(grasp.mark.mark)
         return known or Lens(guess_focal=True)
 
-    def shape(self, grasp: Grasp) -> jobs.RequestedMesh | None:
+    def shape(self, grasp: MarkedGrasp) -> jobs.RequestedMesh | None:
         """Return the object's mesh as it was stated for a grasp; None where it was not."""
         known = self.store.settings.of(grasp.mark.mark)
         return jobs.RequestedMesh(known["mesh"], known.get("size_mm")) if known.get("mesh") else None
 
-    def progress(self, task: Task, mark: Mark) -> str:
-        """Return how far a grasp is: "not begun", "drawn", or the verdict on a result made after the last change."""
-        times = self.store.keyframes.times(mark.mark, mark.annotator)
-        record = jobs.result_folder(self.out, name_grasp(task, mark)) / "result.json"
-        if record.is_file() and times and record.stat().st_mtime >= times[-1].timestamp():
+    def progress(self, grasp: MarkedGrasp) -> str:
+        """Return how far a grasp is: "not begun", "drawn", or the verdict on the result of its current labels."""
+        record, own = jobs.result_folder(self.out, grasp.name) / "result.json", self._own(grasp)
+        outcome = self.store.settings.of(grasp.mark.mark).get("outcome")
+        if outcome is not None and record.is_file() and outcome["of"] == self._inputs(grasp, self._basis(grasp, own)):
             return str(self._describe(record)["verdict"])
-        return "drawn" if times and self.store.keyframes.standing(mark.mark, mark.annotator) else "not begun"
+        return "drawn" if own else "not begun"
 
     def state_shape(self, grasp: Grasp, shape: jobs.RequestedMesh) -> None:
         """Store the object's mesh for a grasp."""
@@ -128,6 +136,7 @@ class Labelling:
         outcome = known.get("outcome")
         solved = outcome is not None and outcome["of"] == inputs
         met = discount_confidence(sure, self._iou_of_result(grasp), drawn) if solved else sure
+        wanted = suggest_frame(met, drawn, *grasp.extent)
         return {
             "grasp": grasp.mark.mark,
             "newest": newest,
@@ -137,12 +146,12 @@ class Labelling:
             "fewest": MIN_CLICKED_JOINTS,
             "keyframes": keyframes,
             "basis": basis,
-            "wanted": suggest_frame(met, drawn, *grasp.extent),
+            "wanted": wanted,
             "found": bool(self.found(grasp).joints),
             "drafts": self.store.drafts.newest(grasp.mark.mark),
             "job": None if job is None else job.status(),
             "settings": {name: value for name, value in known.items() if name in grasp_settings.PAGE_SETTINGS},
-            "result": self._result(grasp, outcome, solved),
+            "result": self._result(grasp, outcome, solved, wanted),
         }
 
     def change(self, grasp: Grasp, content: Json) -> None:
@@ -205,13 +214,26 @@ class Labelling:
         shape = jobs.parse_requested_mesh(content)
         self.state_shape(grasp, shape)
         self._check_enough(grasp, self.labels(grasp))
-        self._start(grasp, "reconstruct", lambda job: self.solve(grasp, shape, job))
+
+        def work(job: BackgroundJob) -> str:
+            said = self._solve(grasp, shape, job)
+            self._draw_report_later(grasp)
+            return said
+
+        self._start(grasp, "reconstruct", work)
 
     def solve(self, grasp: Grasp, shape: jobs.RequestedMesh, job: BackgroundJob) -> str:
-        """Write the files, make a clip of them and reconstruct it; return the outcome as text.
+        """Write the files, make a clip of them, reconstruct it and draw its report; return the outcome as text.
 
         Raises ``GetagripError``, ``CancelledError``.
         """
+        said = self._solve(grasp, shape, job)
+        job.message = "drawing the report"
+        self.draw_report(grasp, job)
+        return said
+
+    def _solve(self, grasp: Grasp, shape: jobs.RequestedMesh, job: BackgroundJob) -> str:
+        """Do the same without the report."""
         from getagrip.studio.store.export_clip import new_clip_call
 
         value = self.labels(grasp)
@@ -222,7 +244,6 @@ class Labelling:
         new_clip = new_clip_call(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
         said = jobs.reconstruct_grasp_files(new_clip, shape, self.out, grasp.name, job, self.depth)
         result, number = jobs.result_folder(self.out, grasp.name), grasp.footage.number
-        self._reports |= {*map(_report_checksum, jobs.report_files(result).values())}
         met = discount_confidence(confidence, self._iou_of_result(grasp), value.drawn)
         wanted = suggest_frame(met, value.drawn, *grasp.extent)
         boxes = boxes_of_polygons({n: one.object or () for n, one in value.frames.items()})
@@ -261,10 +282,27 @@ class Labelling:
         with self._reporting:
             found = jobs.report_files(result)
             if name not in found or _report_checksum(found[name]) not in self._reports:
-                jobs.draw_report(result, BackgroundJob("report"))
+                self._draw(result, BackgroundJob("report"))
                 found = jobs.report_files(result)
-                self._reports |= {*map(_report_checksum, found.values())}
         return found[name]
+
+    def draw_report(self, grasp: Grasp, job: BackgroundJob) -> None:
+        """Write the report of a grasp's result. Raises ``GetagripError``, ``CancelledError``."""
+        with self._reporting:
+            self._draw(jobs.result_folder(self.out, grasp.name), job)
+
+    def _draw(self, result: Path, job: BackgroundJob) -> None:
+        jobs.draw_report(result, job)
+        self._reports |= {*map(_report_checksum, jobs.report_files(result).values())}
+
+    def _draw_report_later(self, grasp: Grasp) -> None:
+        """Write a report once nothing else is to be done; other work on the grasp cancels it."""
+
+        def work(job: BackgroundJob) -> str:
+            self.draw_report(grasp, job)
+            return ""
+
+        self.background.start(f"report {grasp.mark.mark}", "report", work)
 
     def write(self, grasp: Grasp, value: Labels, job: BackgroundJob) -> str:
         """Write ``labels-<name>.json``, and ``<name>/`` with hand and masks; return the command that makes a clip.
@@ -279,7 +317,8 @@ class Labelling:
         self.out.mkdir(parents=True, exist_ok=True)
         lens, settings, out = self.lens(grasp), self.store.settings, self.out / grasp.name
         settings.put_lens(grasp.mark.mark, lens)
-        of = self._inputs(grasp, self._basis(grasp, self._own(grasp)))
+        basis = self._basis(grasp, self._own(grasp))
+        of, words = self._inputs(grasp, basis), _words_by_frame(basis["masks"])
         of_code = _basis_checksum(of, __version__)
         if (path := self._segments(grasp)) is not None and grasp.whole is not None:
             files.write_json(path, {grasp.task.key: grasp.whole.listed().fields})
@@ -300,13 +339,13 @@ class Labelling:
 
             made = write_labelled_clip_files(
                 value, image, lens, out, overwrite=True, done=lambda masks: job.report(masks, frames),
-                found=self.found(grasp), name=footage.name,
+                found=self.found(grasp), name=footage.name, filled=FilledFrames(self._filled, grasp.mark.mark, words),
             )  # fmt: skip
         sure = {str(n): float(x) for n, x in made.confidence.items()}
         settings.put(grasp.mark.mark, {"written": {"of": of_code, "confidence": sure}})
         return _Written(of, command, made.confidence)
 
-    def _inputs(self, grasp: Grasp, basis: Basis) -> str:
+    def _inputs(self, grasp: MarkedGrasp, basis: Basis) -> str:
         """Return a checksum of all that the files of a clip are made of."""
         whole = grasp.whole
         segments = [] if whole is None else [(one.start, one.end, one.side, one.state) for _, one in whole.finished]
@@ -321,18 +360,69 @@ class Labelling:
             return {}
         if (known := self._iou.get(result)) is None or known[0] != record.stat().st_mtime_ns:
             known = self._iou[result] = record.stat().st_mtime_ns, jobs.iou_by_frame(result)
-        names = {grasp.footage.name(n): n for n in range(grasp.extent[0], grasp.extent[1] + 1)}
+        names = _frame_names(grasp)
         return {names[name]: x for name, x in known[1].items() if name in names}
 
-    def _result(self, grasp: Grasp, outcome: Json | None, solved: bool) -> dict[str, object] | None:
-        """Return what is known of a grasp's result, and whether it is of the ``current`` labels; None without one."""
+    def _result(self, grasp: Grasp, outcome: Json | None, solved: bool, wanted: int | None) -> dict[str, object] | None:
+        """Return what is known of a grasp's result, and whether it is of the ``current`` labels; None without one.
+
+        The steps that it asks for have frames as the page counts them, and their numbers.
+        """
         record = jobs.result_folder(self.out, grasp.name) / "result.json"
         if not record.is_file():
             return None
-        said = "" if outcome is None else outcome["said"]
-        return {"current": solved, "said": said, **self._describe(record)}
+        names, number = _frame_names(grasp), grasp.footage.number
 
-    def _describe(self, record: Path) -> dict[str, object]:
+        def here(steps: list[Json]) -> list[Json]:
+            out = []
+            for step in steps:
+                frames = [names[name] for name in step.get("frames", ()) if name in names]
+                if step["do"] == "draw" and wanted is not None:
+                    frames = [wanted]
+                out.append(step | {"frames": frames, "numbers": [*map(number, frames)]})
+            return [step for step in out if step["frames"] or step["do"] not in ("draw", "cut")]
+
+        about = self._describe(record)
+        found = [one | {"steps": here(one["steps"])} for one in about["findings"]]
+        said = "" if outcome is None else outcome["said"]
+        return {"current": solved, "said": said, **about, "findings": found, "steps": here(about["steps"])}
+
+    def outlines(self, grasp: Grasp, rank: int, first: int) -> dict[str, object]:
+        """Return the outlines of a grasp's result, or a candidate of it, in some frames from ``first`` on.
+
+        ``made`` is the time of the result [us]. Raises ``RefusedError`` without a result, ``GetagripError`` for one
+        that does not read, or an unknown candidate.
+        """
+        result = jobs.result_folder(self.out, grasp.name)
+        if not (result / "result.json").is_file():
+            raise RefusedError("there is no result of this grasp yet")
+        files.folder_inside(self.out, jobs.RESULTS_FOLDER, grasp.name)
+        made = (result / "result.json").stat().st_mtime_ns // 1000
+        if self._outlines is None or self._outlines[0] != (result, made):
+            self._outlines = (result, made), ResultOutlines(result)
+        known, names = self._outlines[1], {n: name for name, n in _frame_names(grasp).items()}
+        some = [n for n in range(first, first + OUTLINED_FRAMES) if names.get(n) in known.rows]
+        frames = {n: known.of(names[n], rank, grasp.footage.size[0]) for n in some}
+        return {"made": made, "candidate": rank, "frames": frames}
+
+    def take_candidate(self, grasp: Grasp, content: Json) -> None:
+        """Start to make a candidate of a grasp's result the result. Raises ``RefusedError``."""
+        rank, outcome = content.get("candidate"), self.store.settings.of(grasp.mark.mark).get("outcome")
+        if type(rank) is not int or outcome is None:
+            raise RefusedError(f"candidate must be one of the result's (got {shorten_value(rank)})")
+
+        def take(job: BackgroundJob) -> str:
+            job.message = f"taking candidate {rank + 1}"
+            folder = files.folder_inside(self.out, jobs.RESULTS_FOLDER) / grasp.name
+            take_candidate(folder, rank)
+            self._draw_report_later(grasp)
+            text = f"Candidate {rank + 1} is the result now; what was the result before is candidate {rank + 1}."
+            self.store.settings.put(grasp.mark.mark, {"outcome": outcome | {"said": text}})
+            return text
+
+        self._start(grasp, "candidate", take)
+
+    def _describe(self, record: Path) -> dict[str, Any]:
         """Return when a result was ``made`` [us], and what is said of it; read again only where it changed."""
         made = record.stat().st_mtime_ns // 1000
         if (known := self._verdicts.get(record)) is None or known[0] != made:
@@ -360,12 +450,13 @@ class Labelling:
             except UsageError as error:
                 raise UsageError(re.sub(r"frame ([0-9]{1,9})", numbered, str(error))) from error
 
+        self.background.cancel(f"report {grasp.mark.mark}")
         self.background.start(grasp.mark.mark, what, renumbered)
 
-    def _own(self, grasp: Grasp) -> list[KeyFrame]:
+    def _own(self, grasp: MarkedGrasp) -> list[KeyFrame]:
         return self.store.keyframes.standing(grasp.mark.mark, grasp.mark.annotator)
 
-    def _basis(self, grasp: Grasp, own: Sequence[KeyFrame]) -> Basis:
+    def _basis(self, grasp: MarkedGrasp, own: Sequence[KeyFrame]) -> Basis:
         """Return the current inputs of drafts of each kind; empty without labels."""
         first, last = grasp.extent
         frames = [(one, one.labels()) for one in own if first <= one.frame <= last]
@@ -406,7 +497,7 @@ class Labelling:
         from getagrip.studio.masks import polygon_drafts
 
         drafts, key, frames = self.store.drafts, grasp.mark.mark, labels.last - labels.first + 1
-        words = {kind: {n: word for a, b, word in rows for n in range(a, b + 1)} for kind, rows in basis.items()}
+        words = {kind: _words_by_frame(rows) for kind, rows in basis.items()}
         made = {kind: drafts.bases(key, kind) for kind in basis}
         known = {kind: {n for n, word in rows.items() if made[kind].get(n) == word} for kind, rows in words.items()}
         wrong: UsageError | None = None
@@ -423,12 +514,23 @@ class Labelling:
                     wrong = error
             if len(known["masks"]) < len(words["masks"]):
                 seen = self.found(grasp).mask
-                for n, content in polygon_drafts.draft_masks(labels, footage.image, known["masks"], seen):
+                keep = lambda made: self._filled.put(key, words["masks"][made.frame], made)  # noqa: E731
+                for n, content in polygon_drafts.draft_masks(labels, footage.image, known["masks"], seen, keep):
                     drafts.put(key, "masks", words["masks"][n], {n: content | {"number": footage.number(n)}})
                     job.report(n - labels.first + 1, frames)
         if wrong is not None:
             raise wrong
         return ""
+
+
+def _words_by_frame(rows: Sequence[tuple[int, int, str]]) -> dict[int, str]:
+    """Return the checksums of rows of ``Basis``, by frame."""
+    return {n: word for first, last, word in rows for n in range(first, last + 1)}
+
+
+def _frame_names(grasp: Grasp) -> dict[str, int]:
+    """Return the frames of a grasp by their names."""
+    return {grasp.footage.name(n): n for n in range(grasp.extent[0], grasp.extent[1] + 1)}
 
 
 def _has_clip_files(folder: Path, masks: int) -> bool:

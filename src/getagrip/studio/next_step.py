@@ -1,4 +1,4 @@
-"""The next step of labelling: the frame on which to draw, the verdict on a result, and advice where it looks wrong.
+"""The next step of labelling: the frame on which to draw, and advice on a result that looks wrong.
 
 Suggested frames are first those where the object is lost, then the ends, then those where drawing helps most.
 """
@@ -8,19 +8,17 @@ from __future__ import annotations
 import shlex
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Literal, TypeAlias
 
 import numpy as np
 
 from getagrip.clip.match_frames import number_of
 from getagrip.errors import InputError
-from getagrip.geometry import se3
 from getagrip.io.terminal import format_ranges
 from getagrip.result import Reconstruction, read_result
-from getagrip.result.findings import format_probability
 from getagrip.studio.jobs import RequestedMesh
 from getagrip.studio.masks.box_prompt import Box
 from getagrip.studio.masks.propagate_clip import keyframe_spans
+from getagrip.studio.shown_result import largest_jump
 
 MAX_SUGGESTED_FRAMES = 4
 """Maximum number of drawn frames up to which another one is suggested."""
@@ -28,49 +26,8 @@ MASK_CONFIDENCE_THRESHOLD = 0.95
 """Confidence of all masks from which on no frame is suggested."""
 MIN_MASK_IOU = 1e-3
 """Lower limit of the IOU of a result with a mask."""
-OBJECT_HALF_SIZE_M = 0.04
-"""Assumed half size of an object, by which its motion in the hand is measured [m]."""
 MIN_FRAMES_BEFORE_JUMP = 10
 """Minimum number of frames before a jump for which a draft of them is advised."""
-Word: TypeAlias = Literal["right", "uncertain", "wrong"]
-RIGHT_PROBABILITY, WRONG_PROBABILITY = 0.8, 0.2
-"""Probabilities, of a draft that it looks right, else of its pose in the hand, from which on a result looks right, and
-up to which wrong."""
-
-
-def judge(result: Reconstruction) -> Word:
-    """Return what a result looks like: wrong with a serious finding, uncertain where nothing vouches for it."""
-    probability = result.probability_looks_right or result.probability_right
-    if any(finding.serious for finding in result.findings) or "wrong" in result.looks:
-        return "wrong"
-    if probability is None:
-        return "uncertain"
-    if probability.by_eye:  # of an assumed mesh, whose probability is low even where it looks right
-        return "right"
-    if probability.value >= RIGHT_PROBABILITY:
-        return "right"
-    return "wrong" if probability.value <= WRONG_PROBABILITY else "uncertain"
-
-
-def describe_result(folder: Path) -> dict[str, object]:
-    """Return what the page says of the result in a folder.
-
-    The ``verdict`` with the ``probability`` as text and the ``findings``, the serious ones first. A result that does
-    not read is uncertain, and its error is the finding.
-    """
-    try:
-        result = read_result(folder)[0]
-    except InputError as error:
-        return {"verdict": "uncertain", "probability": "", "findings": [{"serious": True, "message": str(error)}]}
-    found = sorted(result.findings, key=lambda finding: not finding.serious)
-    known, of = result.probability_looks_right, "right but for its distance"
-    if known is None:
-        known, of = result.probability_right, "right"
-    return {
-        "verdict": judge(result),
-        "probability": "" if known is None else f"{of} with a probability of {format_probability(known.value)}",
-        "findings": [{"serious": finding.serious, "message": finding.message} for finding in found],
-    }
 
 
 def next_step(
@@ -116,10 +73,7 @@ def _interval_advice(found: Reconstruction, taken: tuple[int, int], box: Box | N
     if not any(finding.check == "regrasp" for finding in found.findings):
         some = f"if the object is grasped only in some of the frames {taken[0]} to {taken[1]}"
         return [f"draft it anew with --interval FIRST LAST, {some}"]
-    sampled = found.frames_of("sampled")
-    points = se3.transform(found.T_hand_obj[sampled], OBJECT_HALF_SIZE_M * np.concatenate([np.eye(3), -np.eye(3)]))
-    n = int(np.square(points[1:] - points[:-1]).sum(axis=(1, 2)).argmax())
-    before, after = (_frame_number(found, int(sampled[k]), taken[0]) for k in (n, n + 1))
+    before, after = (_frame_number(found, n, taken[0]) for n in largest_jump(found))
     first, last, begins = taken[0], before, "" if box is None else ",".join(f"{x:.0f}" for x in box)
     if last - first < MIN_FRAMES_BEFORE_JUMP:
         first, last, begins = after, taken[1], "X,Y,W,H"

@@ -25,6 +25,7 @@ from getagrip.studio.store.marks import (
     Grasp,
     Interaction,
     Mark,
+    MarkedGrasp,
     interaction_of_marks,
     is_interaction,
     read_task_segments,
@@ -40,8 +41,12 @@ MAX_OPEN_FOOTAGE = 4
 class Project:
     """Tasks and the store of their marks and labels."""
 
-    def __init__(self, tasks: list[Task], store: Store, lens: Lens | None = None) -> None:
-        """``lens`` is the camera of all footage; without one the focal length is guessed."""
+    def __init__(self, tasks: list[Task], store: Store, lens: Lens | None = None, wants_poses: bool = False) -> None:
+        """``lens`` is the camera of all footage; without one the focal length is guessed.
+
+        With ``wants_poses`` a task is done with a pose of each grasp, not with marks alone.
+        """
+        self.wants_poses = wants_poses
         self.tasks = {task.key: task for task in tasks}
         self.store = store
         self.labelling = Labelling(store, lens or Lens(), store.path.parent)
@@ -61,7 +66,7 @@ class Project:
     def overview(self, annotator: object) -> dict[str, object]:
         """List all tasks with an annotator's state of each: "", started, marked, discarded. Raises ``RefusedError``.
 
-        Where the mesh of a grasp is stated, a pose is wanted, and the state is that of the grasp that is least far.
+        Where poses are wanted, or the mesh of a grasp is stated, the state is that of the grasp that is least far.
         """
         own: dict[str, list[Mark]] = {}
         for mark in self.store.marks.standing(annotator=history.check_annotator(annotator)):
@@ -105,7 +110,8 @@ class Project:
         newest = self.store.marks.newest(task.key, name)  # before the marks: later changes are requested again
         own = self.store.marks.standing(task.key, name)
         state = interaction_of_marks(task, self.footage(task), own).state() if is_interaction(own) else None
-        return {"newest": newest, "marks": [asdict(mark) for mark in own], "interaction": state}
+        listed = [asdict(mark) for mark in own]
+        return {"newest": newest, "marks": listed, "interaction": state, "state": self._state(task, own)}
 
     def change(self, content: Json) -> dict[str, object]:
         """Make a change of a mark; return the task's marks. Raises ``RefusedError``."""
@@ -123,44 +129,52 @@ class Project:
         return self.marks(task.key, name) | {"undone": undone is not None}
 
     def labels(self, content: Json) -> dict[str, object]:
-        """Return the state of a grasp's labels. Raises ``RefusedError``."""
-        return self.labelling.state(self._grasp(content))
+        """Return the state of a grasp's labels, and of its task. Raises ``RefusedError``."""
+        return self._labels(self._grasp(content))
 
     def label(self, content: Json) -> dict[str, object]:
         """Make a change of a key frame of a grasp. Raises ``RefusedError``."""
         grasp = self._grasp(content)
         self.labelling.change(grasp, content)
-        return self.labelling.state(grasp)
+        return self._labels(grasp)
 
     def set(self, content: Json) -> dict[str, object]:
         """Store some settings of a grasp, as its mesh. Raises ``RefusedError``."""
         grasp = self._grasp(content)
         self.labelling.set(grasp, content.get("set"))
-        return self.labelling.state(grasp)
+        return self._labels(grasp)
 
     def unlabel(self, content: Json) -> dict[str, object]:
         """Undo a tab's last change of a grasp's key frames. Raises ``RefusedError``."""
         grasp = self._grasp(content)
         undone = self.labelling.undo(grasp, parse_token(content, "tab"), parse_token(content, "change"))
-        return self.labelling.state(grasp) | undone
+        return self._labels(grasp) | undone
 
     def work(self, content: Json) -> dict[str, object]:
-        """Start to "propagate", write "files" or "reconstruct" a grasp, or "cancel" it. Raises ``RefusedError``."""
+        """Start to "propagate", write "files" or "reconstruct" a grasp, take a "candidate" of its result, or "cancel".
+
+        Raises ``RefusedError``.
+        """
         grasp = self._grasp(content)
         known = {
             "propagate": lambda: self.labelling.propagate(grasp),
             "files": lambda: self.labelling.make(grasp),
             "reconstruct": lambda: self.labelling.reconstruct(grasp, content),
+            "candidate": lambda: self.labelling.take_candidate(grasp, content),
             "cancel": lambda: self.labelling.background.cancel(grasp.mark.mark),
         }
         if not isinstance(what := content.get("work"), str) or what not in known:
             raise RefusedError(f"unknown work {files.shorten_value(what)}; choose from {', '.join(known)}")
         known[what]()
-        return self.labelling.state(grasp)
+        return self._labels(grasp)
 
     def drafts(self, content: Json, since: int) -> dict[str, object]:
         """Return some drafts of a grasp's frames with numbers above ``since``. Raises ``RefusedError``."""
         return {"drafts": self.store.drafts.since(self._grasp(content).mark.mark, since)}
+
+    def outlines(self, content: Json, candidate: int, first: int) -> dict[str, object]:
+        """Return outlines of a grasp's result in frames from ``first`` on. Raises ``GetagripError``."""
+        return self.labelling.outlines(self._grasp(content), candidate, first)
 
     def labels_file(self, content: Json) -> tuple[str, str]:
         """Return the text of a grasp's label file, and the file's name. Raises ``RefusedError``."""
@@ -193,7 +207,7 @@ class Project:
         sets = {"start": labels.first, "end": labels.last, "side": labels.side}
         known = self._grasps(task, name).values()
         same = [grasp for grasp in known if grasp.mark.interval == extent and grasp.mark.side == labels.side]
-        grasp = same[-1] if same else Grasp(task, footage, self._mark(task, name, str(uuid4()), sets))
+        grasp = same[-1] if same else Grasp(task, self._mark(task, name, str(uuid4()), sets), footage=footage)
         self.labelling.take(grasp, labels)
         return grasp
 
@@ -221,7 +235,8 @@ class Project:
         own = self.store.marks.standing(task.key, name)
         known = next((mark for mark in own if mark.interval == extent and mark.side == side), None)
         sets = {"start": extent[0], "end": extent[1], "side": side}
-        return Grasp(task, self.footage(task), known or self._mark(task, name, str(uuid4()), sets))
+        mark = known or self._mark(task, name, str(uuid4()), sets)
+        return Grasp(task, mark, footage=self.footage(task))
 
     def _mark(self, task: Task, name: str, tab: str, sets: Json) -> Mark:
         """Make a new mark of the task's object."""
@@ -285,9 +300,9 @@ class Project:
     def _grasps(self, task: Task, name: str) -> dict[str, Grasp]:
         """Return what an annotator can label: segments of a task and, last, the whole interaction."""
         footage, own = self.footage(task), self.store.marks.standing(task.key, name)
-        out = {mark.mark: Grasp(task, footage, mark) for mark in own if mark.start is not None}
+        out = {mark.mark: Grasp(task, mark, footage=footage) for mark in own if mark.start is not None}
         if is_interaction(own) and (whole := interaction_of_marks(task, footage, own)).finished:
-            out[whole.mark.mark] = Grasp(task, footage, whole.mark, whole)
+            out[whole.mark.mark] = Grasp(task, whole.mark, whole, footage=footage)
         return out
 
     def _task(self, key: object) -> Task:
@@ -295,12 +310,18 @@ class Project:
             raise RefusedError(f"task must be one of {len(self.tasks)} tasks (got {files.shorten_value(key)})")
         return self.tasks[key]
 
+    def _labels(self, grasp: Grasp) -> dict[str, object]:
+        own = self.store.marks.standing(grasp.task.key, grasp.mark.annotator)
+        return self.labelling.state(grasp) | {"state": self._state(grasp.task, own)}
+
     def _state(self, task: Task, found: list[Mark]) -> str:
-        wanted = [
-            mark for mark in found if mark.interval and mark.side and self.store.settings.of(mark.mark).get("mesh")
-        ]
-        each = [self.labelling.progress(task, mark) for mark in wanted]
-        return min(each, key=PROGRESS.index) if each else _task_state(found)
+        """Return the state of a task with an annotator's marks: one of ``PROGRESS`` where a pose is wanted."""
+        whole = [MarkedGrasp(task, mark) for mark in found if mark.interval and mark.side]
+        wanted = [one for one in whole if self.wants_poses or self.labelling.shape(one)]
+        if wanted:
+            return min(map(self.labelling.progress, wanted), key=PROGRESS.index)
+        state = _task_state(found)
+        return PROGRESS[0] if self.wants_poses and state != "discarded" else state
 
     def _present(self) -> list[Task]:
         """Return the tasks with footage."""

@@ -40,13 +40,16 @@ MAX_SKIPPED_BODY_BYTES = 64 * 2**20
 """Bytes of a larger body that are read before the answer, so that the sender receives it."""
 STUDIO_STYLESHEETS = ("page", "labels")
 STUDIO_SCRIPTS = (
-    "app", "grasps", "joints", "labelling", "labels", "outlines", "overlay", "page", "panel", "player", "saving",
-    "segments", "settings", "states", "strokes", "tasks", "timeline", "view",
+    "app", "grasps", "joints", "labelling", "labels", "outlines", "overlay", "page", "panel", "player", "results",
+    "saving", "segments", "settings", "states", "strokes", "tasks", "timeline", "view",
 )  # fmt: skip
+STUDIO_PAGE, REPORT_PARTS = ("getagrip.studio", "page"), ("getagrip.report.pages", "parts")
+"""Packages of files of the page, and their folders."""
 PAGE_ROUTES = {
-    "/": ("index.html", "text/html"),
-    **{f"/{name}.css": (f"{name}.css", "text/css") for name in STUDIO_STYLESHEETS},
-    **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in STUDIO_SCRIPTS},
+    "/": (STUDIO_PAGE, "index.html", "text/html"),
+    "/tokens.css": (REPORT_PARTS, "tokens.css", "text/css"),
+    **{f"/{name}.css": (STUDIO_PAGE, f"{name}.css", "text/css") for name in STUDIO_STYLESHEETS},
+    **{f"/{name}.js": (STUDIO_PAGE, f"{name}.js", "text/javascript") for name in STUDIO_SCRIPTS},
 }
 DATA_ROUTES: dict[str, Callable[[Project, dict[str, str]], dict[str, object]]] = {
     "/api/tasks": lambda project, asked: project.overview(asked.get("annotator")),
@@ -54,6 +57,9 @@ DATA_ROUTES: dict[str, Callable[[Project, dict[str, str]], dict[str, object]]] =
     "/api/marks": lambda project, asked: project.marks(asked.get("task"), asked.get("annotator")),
     "/api/labels": lambda project, asked: project.labels(asked),
     "/api/drafts": lambda project, asked: project.drafts(asked, _parse_whole_number(asked.get("since"))),
+    "/api/outlines": lambda project, asked: project.outlines(
+        asked, _parse_whole_number(asked.get("candidate")), _parse_whole_number(asked.get("first"))
+    ),
     "/api/agreement": lambda project, _: project.agreement(),
 }
 """Functions that answer with JSON, by path."""
@@ -214,8 +220,8 @@ class _StudioHandler(QuietHandler):
             kept = f"{self.server.cookie}={self.server.token}; Path=/; HttpOnly; SameSite=Lax"
             self.send(b"", "text/plain", {"Location": "/", "Set-Cookie": kept}, HTTPStatus.SEE_OTHER)
         elif url.path in PAGE_ROUTES:
-            name, kind = PAGE_ROUTES[url.path]
-            content = (package_files("getagrip.studio") / "page" / name).read_bytes()
+            (package, folder), name, kind = PAGE_ROUTES[url.path]
+            content = (package_files(package) / folder / name).read_bytes()
             self.send(content, f"{kind}; charset=utf-8", STUDIO_PAGE_HEADERS)
         elif url.path == "/frame":
             image, time, number = project.frame(

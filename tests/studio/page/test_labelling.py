@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from getagrip.cli import main
-from getagrip.clip import read_clip
+from getagrip.clip import input_sha256, read_clip, write_clip
 from getagrip.errors import GetagripError
 from getagrip.io.images import write_image
 from getagrip.result import write_result
@@ -46,19 +46,30 @@ from helpers.annotation import (
 )
 from helpers.clips import small_clip
 from helpers.labelled_scene import circle, joints, middle
-from helpers.results import true_result
+from helpers.results import true_result, two_candidates
 
 pytestmark = IN_BROWSER
 
 
+def write_report(words: Sequence[str]) -> str:
+    folder = Path(words[1])
+    write_image(folder / "report.png", np.zeros((40, 200, 3), np.uint8))
+    (folder / "report.html").write_text("<p>the report of a plate</p>")
+    return "report: done"
+
+
+def folder_of(words: Sequence[str]) -> Path:
+    """The folder of the result that a call of ``reconstruct`` makes."""
+    return Path(words[words.index("--out") + 1]) / Path(words[1]).name
+
+
 def write_empty_report(words: Sequence[str]) -> str:
-    """What the last of the commands writes, without a fit."""
+    """What the commands write, without a fit."""
+    if words[0] == "reconstruct":
+        folder_of(words).mkdir(parents=True, exist_ok=True)
+        (folder_of(words) / "result.json").touch()
     if words[0] == "report":
-        folder = Path(words[1])
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "result.json").touch()
-        write_image(folder / "report.png", np.zeros((40, 200, 3), np.uint8))
-        (folder / "report.html").write_text("<p>the report of a plate</p>")
+        write_report(words)
     return f"{words[0]}: done"
 
 
@@ -177,11 +188,10 @@ def test_it_ends_in_a_reconstruction(
     page.fill("#size-mm", "180")
     page.click("#reconstruct")
     expect(page.locator("#outcome")).to_have_text("clip: done\nreconstruct: done", timeout=30_000)
-    until(page, "document.getElementById('report').naturalWidth == 200")
     (clip,) = (tmp_path / "clips").iterdir()
     assert np.ptp(read_clip(clip).mesh.vertices, axis=0).max() == pytest.approx(0.18)
     with context.expect_page() as opens:
-        page.click("#report-page")
+        page.click("#verdict-report")
     expect(opens.value.locator("body")).to_contain_text("the report of a plate")
 
 
@@ -247,10 +257,11 @@ def test_one_verdict_says_what_the_result_is(
     ])  # fmt: skip
 
     def ran(words: Sequence[str], job: BackgroundJob) -> str:
-        if words[0] == "report":
-            shutil.rmtree(words[1], ignore_errors=True)
-            write_result(replace(true_result(small_clip()[0], None), **next(results)), Path(words[1]), "", {}, tmp_path)
-        return write_empty_report(words)
+        if words[0] == "reconstruct":
+            shutil.rmtree(folder_of(words), ignore_errors=True)
+            one = replace(true_result(small_clip()[0], None), **next(results))
+            write_result(one, folder_of(words), "", {}, tmp_path)
+        return write_report(words) if words[0] == "report" else ""
 
     monkeypatch.setattr(jobs, "run_command", ran)
     label_frame(served)
@@ -261,12 +272,83 @@ def test_one_verdict_says_what_the_result_is(
     page.click("#reconstruct")
     expect(page.locator("#verdict-word")).to_have_text("Looks wrong", timeout=30_000)
     expect(page.locator("#findings summary")).to_have_text("2 findings, 1 serious")
-    expect(page.locator("#findings li")).to_have_text(["it is True", "it is False"])
+    expect(page.locator("#findings li")).to_have_text(["it is TrueState the size", "it is FalseState the size"])
     expect(page.locator("#outcome")).to_be_hidden()
+    page.click("#steps button")
+    expect(page.locator("#size-mm")).to_be_focused()
     page.click("#reconstruct")
     expect(page.locator("#verdict-word")).to_have_text("Looks right", timeout=30_000)
-    expect(page.locator("#verdict-probability")).to_have_text("right with a probability of 93 %")
+    expect(page.locator("#verdict-probability")).to_have_text("93 % that it is right")
     expect(page.locator("#findings summary")).to_have_text("1 finding")
+
+
+def write_result_of_footage(folder: Path, tmp_path: Path) -> None:
+    """A result of two candidates, the better one first, in the frames of the grasp."""
+    result, clip, masks = two_candidates()
+    names = tuple(f"{n + 1:06d}" for n in range(FIRST_FRAME, LAST_FRAME + 1))
+    clip, found = replace(clip, frames=names), Finding("regrasp", False, 1.0, 0.5, "it jumps")
+    if not (tmp_path / "a-clip").is_dir():
+        write_clip(clip, masks, tmp_path / "a-clip")
+    moved = result.T_hand_obj.copy()
+    moved[4:, 0, 3] += 0.1
+    result = replace(
+        result, frames=names, T_hand_obj=moved, findings=(found,), assumptions={"scale": "by the hand"},
+        candidates=replace(result.candidates, T_hand_obj=np.stack([moved, result.candidates.T_hand_obj[1]])),
+    )  # fmt: skip
+    shutil.rmtree(folder, ignore_errors=True)
+    write_result(result, folder, input_sha256(tmp_path / "a-clip"), {}, tmp_path / "a-clip")
+
+
+def test_the_result_is_in_the_picture(
+    context: Any, served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As outlines in each frame, of each candidate; a step cuts the grasp, and another candidate becomes the result."""
+
+    def ran(words: Sequence[str], job: BackgroundJob) -> str:
+        if words[0] == "reconstruct":
+            write_result_of_footage(folder_of(words), tmp_path)
+            return "reconstruct: done"
+        return write_report(words) if words[0] == "report" else "clip: done"
+
+    def place(page: Any) -> tuple[float, float]:
+        lines = page.locator("#layer path.result.object.above")
+        expect(lines).to_have_count(1)
+        box = lines.bounding_box()
+        return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    monkeypatch.setattr(jobs, "run_command", ran)
+    label_frame(served)
+    page = opened(context, served)
+    draw_disc(page, FIRST_FRAME)
+    page.fill("#mesh", "plate")
+    page.click("#reconstruct")
+    expect(page.locator("#guessed")).to_have_text("Guessed: the object's size.", timeout=30_000)
+    first = place(page)
+    expect(page.locator("#layer path.result.hand")).to_have_count(2)
+    goto(page, LAST_FRAME)
+    page.wait_for_timeout(300)
+    last = place(page)
+    assert np.hypot(first[0] - last[0], first[1] - last[1]) > 10
+    page.keyboard.press("r")
+    expect(page.locator("#layer path.result")).to_have_count(0)
+    expect(page.locator("#show-result")).not_to_be_checked()
+    expect(page.locator("#steps button")).to_have_text(["Try candidate 2", "Draw frame 7", "State the size"])
+    page.click("#steps button:has-text('Try candidate 2')")
+    expect(page.locator("#candidate-said")).to_contain_text("Candidate 2 is in the picture")
+    page.wait_for_timeout(300)
+    other = place(page)
+    assert np.hypot(other[0] - last[0], other[1] - last[1]) > 10
+    page.click("#take")
+    expect(page.locator("#candidate-said")).to_contain_text("Candidate 2 is the result now", timeout=30_000)
+    page.wait_for_timeout(300)
+    assert place(page) == pytest.approx(other, abs=1.0)
+    page.click("#reconstruct")
+    expect(page.locator("#findings")).to_be_visible(timeout=30_000)
+    page.click("#findings summary")
+    page.click("#findings button:has-text('Cut to 3–6')")
+    expect(page.locator("#label-title")).to_have_text("Frames 3 – 6")
+    expect(page.locator("#verdict")).to_be_hidden()  # it was of another interval
+    assert served.project.marks("scene", "ann")["marks"][0]["end"] == LAST_FRAME - 1  # type: ignore[index]
 
 
 def test_the_picture_is_the_page(context: Any, served: Served) -> None:
@@ -311,6 +393,17 @@ def test_a_clip_is_done_when_it_has_a_result(context: Any, served: Served, monke
     expect(listed).to_contain_text("uncertain")  # what was written does not read
     page.reload()
     expect(page.locator("#progress")).to_have_text("1 of 2 done")
+    page.select_option("#filter", "amiss")
+    expect(page.locator("#task-list li")).to_have_count(1)
+    page.select_option("#filter", "open")
+    expect(page.locator("#task-list li")).to_contain_text("another")
+    page.keyboard.press("n")  # to the next of those listed
+    expect(page.locator("#where")).to_have_text("another")
+    page.keyboard.press("p")
+    expect(page.locator("#where")).to_have_text("another")
+    page.select_option("#filter", "all")
+    page.keyboard.press("p")
+    expect(page.locator("#where")).to_have_text("scene")
 
 
 def test_the_next_step_is_shown_and_the_grasp_can_be_left(context: Any, served: Served) -> None:

@@ -198,8 +198,8 @@ def test_grasps_of_long_names_that_are_alike_have_files_of_their_own() -> None:
     grasps = [
         Grasp(
             Task("key", video, None),
-            footage,
             Mark("m", "key", "ann", 10, end, "right", start_number=10, end_number=end),
+            footage=footage,
         )
         for video in videos
         for end in ends

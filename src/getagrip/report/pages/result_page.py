@@ -67,7 +67,7 @@ def build_document(
     title: str, body: str, scripts: Sequence[str], data: Mapping[str, object], asks: bool = False
 ) -> str:
     """Build a page of the files ``body`` and ``scripts`` of ``parts/``; a server adds data if the page ``asks``."""
-    style = _read_page_part("page.css")
+    style = _read_page_part("tokens.css") + _read_page_part("page.css")
     codes = [_read_page_part(name) for name in scripts]
     asking = "; connect-src 'self'" if asks else ""
     policy = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator
+from collections.abc import Callable, Container, Iterator
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -14,7 +14,7 @@ from getagrip.geometry.rasterize import render_coverage
 from getagrip.hands.from_2d.clicks import hands_from_clicks
 from getagrip.studio.hands.detect_hands import HandDetectionFiles
 from getagrip.studio.hands.stabilize_hands import stabilize_hands
-from getagrip.studio.masks.propagate_clip import propagate_labels
+from getagrip.studio.masks.propagate_clip import PropagatedLabels, propagate_labels
 from getagrip.studio.masks.propagate_frame import Hands, Images
 from getagrip.studio.masks.stroke_prompt import keyframe_label_maps
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL, Labels
@@ -60,16 +60,23 @@ def draft_detected_hand(labels: Labels, found: HandDetectionFiles) -> dict[int, 
 
 
 def draft_masks(
-    labels: Labels, image: Images, known: Container[int] = (), seen: Hands = lambda _: None
+    labels: Labels,
+    image: Images,
+    known: Container[int] = (),
+    seen: Hands = lambda _: None,
+    keep: Callable[[PropagatedLabels], None] = lambda _: None,
 ) -> Iterator[tuple[int, dict[str, object]]]:
     """Yield each frame with polygons of object, hand and occluders [px], and their confidence (0 to 1).
 
-    ``seen`` returns the visible hand, where it is known. Spans between key frames are skipped if all their frames are
-    ``known``. Raises ``UsageError`` as ``propagate_labels`` does.
+    ``seen`` returns the visible hand, where it is known, and ``keep`` is called with each label map. Spans
+    between key frames are skipped if all their frames are ``known``. Raises ``UsageError`` as ``propagate_labels``
+    does.
     """
     kinds = {"object": OBJECT_LABEL, "front": OCCLUDER_LABEL, "hand": HAND_LABEL}
     drawn = keyframe_label_maps(labels, image, seen)
-    for frame, found, confidence in propagate_labels(image, drawn, labels.first, labels.last, known, seen):
+    for made in propagate_labels(image, drawn, labels.first, labels.last, known, seen):
+        keep(made)
+        frame, found, confidence = made
         shapes = {kind: _mask_to_polygons(found == label) for kind, label in kinds.items()}
         yield frame, shapes | {"confidence": round(float(confidence), 3)}
 

@@ -29,6 +29,8 @@ HIDING_FINGER_RADIUS = 0.08
 errors."""
 SLIT_DISTANCE = 0.1
 """Distance from the hand within which the object may show between fingers, in sizes of the hand."""
+MAX_REACH = max(FINGER_RADIUS, SLIT_DISTANCE)
+"""Distance from the hand beyond which no pixel is uncertain, in sizes of the hand."""
 MIN_COLOUR_RATIO = 4.0
 """Ratio of a colour's probabilities on the object and beside it from which on a pixel beside the hand may be the
 object's."""
@@ -95,16 +97,25 @@ class UncertainPixels:
         At fingers, colours of neither object nor background are uncertain; beside the hand, what is labelled as
         background in the object's colours.
         """
+        whole = np.zeros(labels.shape, bool)
+        if n not in self.joints:
+            return whole
+        part = _reach_of_hand(self.joints[n], labels)
+        if not labels[part].size:
+            return whole
+        whole[part] = self._find_in(n, labels[part], image[part], self.joints[n] - [part[1].start, part[0].start])
+        return whole
+
+    def _find_in(self, n: int, labels: LabelMap, image: Image, joints: Float[ndarray, "21 2"]) -> Bool[ndarray, "h w"]:
+        """Return the uncertain pixels in the part of a frame that the hand reaches, with its landmarks there [px]."""
         import cv2
 
-        if n not in self.joints:
-            return np.zeros(labels.shape, bool)
         own, ground = self.colours.counts[:, colour_bins(image)]
         claimed = labels <= (0 if n in self.drawn else OBJECT_LABEL)
         unlike = claimed & (np.maximum(own, ground) < UNSEEN_COLOUR_PROBABILITY)
-        fingers = unlike & finger_pixels(self.joints[n], labels.shape)
+        fingers = unlike & finger_pixels(joints, labels.shape)
         away = cv2.distanceTransform((labels != HAND_LABEL).astype(np.uint8), cv2.DIST_L2, 3)
-        beside = (labels == 0) & (away < SLIT_DISTANCE * hand_size_px(self.joints[n]))
+        beside = (labels == 0) & (away < SLIT_DISTANCE * hand_size_px(joints))
         slits = beside & (own > MIN_COLOUR_RATIO * np.maximum(ground, 0.1 * UNSEEN_COLOUR_PROBABILITY))
         square = np.ones((3, 3), np.uint8)
         opened = [cv2.morphologyEx(each.astype(np.uint8), cv2.MORPH_OPEN, square) > 0 for each in (fingers, slits)]
@@ -118,3 +129,14 @@ class UncertainPixels:
         if n not in self.joints:
             return np.zeros(labels.shape, bool)
         return (labels == 0) & finger_pixels(self.joints[n], labels.shape, HIDING_FINGER_RADIUS)
+
+
+def _reach_of_hand(joints: Float[ndarray, "21 2"], labels: LabelMap) -> tuple[slice, slice]:
+    """Return rows and columns that hold the hand's mask, its landmarks [px], and all pixels that either may concern."""
+    margin = MAX_REACH * hand_size_px(joints) + 4.0
+    seen, known = np.argwhere(labels == HAND_LABEL)[:, ::-1], joints[np.isfinite(joints).all(axis=1)]
+    points = np.concatenate([some for some in (seen, known) if len(some)] or [np.zeros((1, 2))])
+    size = np.array(labels.shape[::-1])
+    low, high = np.clip(points.min(axis=0) - margin, 0, size), np.clip(points.max(axis=0) + margin, 0, size)
+    (left, top), (right, bottom) = np.floor(low).astype(int).tolist(), np.ceil(high).astype(int).tolist()
+    return slice(top, bottom), slice(left, right)

@@ -137,7 +137,7 @@ function row(mark, n) {
   const open = button("Label", "Click joints and polygons on its frames, to make a clip of it (l)", () => emit("label", mark));
   open.hidden = mark.end === null || whole();
   const about = [whole() && STATES[mark.state].word, !["static", "free"].includes(mark.state) && (mark.side ?? "hand?"), mark.entity ?? mark.category ?? "object?", mark.seconds && `${mark.seconds.toFixed(2)} s`];
-  const text = element("span", { className: "text" }, `${number(mark.start_number, mark.start)} – ${number(mark.end_number, mark.end)}`, element("small", { textContent: about.filter(Boolean).join(" · ") }));
+  const text = element("button", { className: "text" }, `${number(mark.start_number, mark.start)} – ${number(mark.end_number, mark.end)}`, element("small", { textContent: about.filter(Boolean).join(" · ") }));
   return element("li", { className: `${mark.state} ${mark.mark === state.chosen ? "chosen" : ""}`, title: "Click to change", onclick: () => choose(mark) }, element("b", { textContent: n + 1 }), text, open, remove);
 }
 
@@ -186,6 +186,6 @@ on("answer", (path, sent, answer) => {
 on("task", draw);
 on("marks", draw);
 
-for (const button of $("side").children) button.onclick = () => { describe({ side: button.dataset.side }); button.blur(); };
+for (const button of $("side").children) button.onclick = () => describe({ side: button.dataset.side });
 for (const key of ["category", "entity"]) $(key).onchange = () => describe({ [key]: $(key).value.trim() });
-$("undo").onclick = () => { undo(); $("undo").blur(); };
+$("undo").onclick = () => undo();

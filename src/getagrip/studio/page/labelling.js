@@ -7,6 +7,7 @@ import { tool as outlines } from "./outlines.js";
 import { tool as strokes } from "./strokes.js";
 import { drawOverlay, toggle } from "./overlay.js";
 import { drawPanel, reconstruct, say } from "./panel.js";
+import { toggle as toggleResult } from "./results.js";
 import { fill } from "./settings.js";
 import { pan, pointAt, view } from "./view.js";
 
@@ -101,6 +102,7 @@ export const KEYS = {
   "Backspace": remove,
   "k": take,
   "u": labels.undo,
+  "r": toggleResult,
   "v": () => { toggle(); draw(); },
   "b": () => labels.work("propagate"),
   "l": end,
@@ -166,6 +168,8 @@ function follow() {
 joints.changed = draw;
 view.changed = () => state.mode === "labels" && drawOverlay();
 on("labels", draw);
+on("outlines", () => state.mode === "labels" && drawOverlay());
+on("draw", () => choose(state.labels.found ? "on" : "object"));
 on("labels", follow);
 on("shown", draw);
 on("undone", (undone, frame) => {
@@ -175,4 +179,4 @@ on("undone", (undone, frame) => {
 on("task", () => { // another clip is opened: its grasps come first
   if (state.mode === "labels" && !state.info) end();
 });
-for (const button of $("tools").children) button.onclick = () => { choose(button.dataset.tool); button.blur(); };
+for (const button of $("tools").children) button.onclick = () => choose(button.dataset.tool);

@@ -48,7 +48,7 @@ export const before = () => sessionStorage.getItem(KEY);
 function take(answer) {
   const labels = state.labels;
   if (!labels || answer.grasp !== labels.grasp) return;
-  [labels.job, labels.wanted, labels.result] = [answer.job, answer.wanted, answer.result];
+  [labels.job, labels.wanted, labels.result, labels.state] = [answer.job, answer.wanted, answer.result, answer.state];
   const old = answer.newest < labels.newest; // it was asked before a change that is answered already
   if (!old && !saving.waiting.length && !moved) { // else its answer comes after what is still on its way
     const { newest, extent, side, size, fewest, basis, found } = answer;

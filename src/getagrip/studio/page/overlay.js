@@ -4,6 +4,7 @@ import { $, player, state } from "./app.js";
 import { BONES, NAMES, colour, selected as joint } from "./joints.js";
 import { draft, here, stale } from "./labels.js";
 import { selected as corner } from "./outlines.js";
+import { outlines as ofResult } from "./results.js";
 import { view } from "./view.js";
 
 let shown = true; // what was filled in
@@ -69,9 +70,19 @@ function joints(frame, own) {
   return [...bones, ...dots];
 }
 
+/** Hand and object of the result, each as a line with a dark one below it, for contrast. */
+function result(frame) {
+  const lines = ofResult(frame), old = state.labels.result?.current ? "" : " old";
+  if (!lines) return [];
+  return ["hand", "object"].flatMap((kind) => {
+    const d = lines[kind].map((points) => path(points)).join("");
+    return d ? ["below", "above"].map((place) => svg("path", { d, class: `result ${kind} ${place}${old}` })) : [];
+  });
+}
+
 export function drawOverlay() {
   if (!state.labels || !player.shown) return $("layer").replaceChildren();
   const frame = player.shown.index, own = state.labels.keyframes.get(frame) ?? here();
   if (frame !== player.wanted) return undefined; // the next frame is on its way
-  return $("layer").replaceChildren(...(shown ? drafts(frame, own) : []), ...outlines(own), ...joints(frame, own));
+  return $("layer").replaceChildren(...(shown ? drafts(frame, own) : []), ...result(frame), ...outlines(own), ...joints(frame, own));
 }

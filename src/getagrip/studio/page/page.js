@@ -98,8 +98,12 @@ function press(key, event) {
   return true;
 }
 
+/** A button that has the focus is pressed by space and Enter; one that was clicked with the mouse loses it. */
+const PRESSED = "button, summary, a, input[type=checkbox]";
+document.addEventListener("click", (event) => { if (event.detail) event.target.closest?.(PRESSED)?.blur(); });
+
 document.addEventListener("keydown", (event) => {
-  if ($("name").open) return;
+  if ($("name").open || ([" ", "Enter"].includes(event.key) && event.target.matches(PRESSED))) return;
   if (event.target.matches("input:not([type=checkbox]), select")) {
     if (event.key === "Enter" || event.key === "Escape") event.target.blur();
     return;
@@ -114,11 +118,11 @@ document.addEventListener("keydown", (event) => {
 });
 
 for (const button of document.querySelectorAll("[data-key]")) {
-  button.onclick = (event) => { press(button.dataset.key, event); button.blur(); };
+  button.onclick = (event) => press(button.dataset.key, event);
 }
 $("speed").onchange = () => $("speed").blur();
 $("back").onclick = labelling.end;
-$("unseen").onclick = () => { unseen(); $("unseen").blur(); };
+$("unseen").onclick = unseen;
 on("label", labelling.begin);
 
 // ---- beginning -----------------------------------------------------------------------------------------------------

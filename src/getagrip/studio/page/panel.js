@@ -1,9 +1,10 @@
 // Beside the picture while labelling: what to do next, the key frames, filling in, and the files that come out.
 
-import { $, element, many, move, player, state } from "./app.js";
+import { $, element, many, move, on, player, state } from "./app.js";
 import { NAMES } from "./joints.js";
 import { change, here, missing, settle, stale, work } from "./labels.js";
 import { drawing, remove } from "./outlines.js";
+import * as results from "./results.js";
 import { shape } from "./settings.js";
 
 const UNSURE = 0.85; // masks less sure than this are named
@@ -46,7 +47,7 @@ function nextStep(joint) {
   if (state.tool === "joints" && Object.keys(own.joints).length && joint !== null) return `Click the ${NAMES[joint].toLowerCase()}; x where it cannot be located.`;
   const painted = found ? nextStroke(outlined.length) : null;
   if (painted) return painted;
-  if (busy()) return { files: "Writing the files …", reconstruct: "Reconstructing: this takes a minute or two …" }[job.what] ?? "Filling in …";
+  if (busy()) return { files: "Writing the files …", reconstruct: "Reconstructing: this takes a minute or two …", candidate: "Taking the candidate …" }[job.what] ?? "Filling in …";
   if (!withJoints.length && !found) return "Go to the first frame, or one near it that shows the hand well, and click the joints in the order of the picture below. The mouse wheel brings it closer.";
   const few = withJoints.find((one) => clicked(one) < fewest);
   if (few) return `A frame needs ${fewest} joints at least: click some more on frame ${few.number}, or delete them.`;
@@ -66,7 +67,7 @@ function drawKeyframes() {
     const joints = clicked(one), strokes = Object.values(one.outlines).filter(({ of }) => STROKES.includes(of)).length, drawn = Object.keys(one.outlines).length - strokes;
     const about = [joints && many(joints, "joint"), drawn && many(drawn, "polygon"), strokes && many(strokes, "stroke"), one.hidden && "object not visible", !within(one.frame) && "outside of the grasp"];
     const away = element("button", { textContent: "✕", title: "Delete what is labelled on this frame", onclick: (event) => { event.stopPropagation(); change(one.frame, { deleted: true }); } });
-    const text = element("span", { className: "text" }, `${one.number ?? "…"} `, element("small", { textContent: about.filter(Boolean).join(" · ") }));
+    const text = element("button", { className: "text", title: "Go there" }, `${one.number ?? "…"} `, element("small", { textContent: about.filter(Boolean).join(" · ") }));
     return element("li", { className: one.frame === player.wanted ? "chosen" : "", onclick: () => move(one.frame) }, text, away);
   });
   $("keyframes").replaceChildren(...rows);
@@ -113,32 +114,61 @@ function drawWork() {
   const command = job?.what === "files" && job.state === "done" ? job.message : "";
   $("command-box").hidden = !command;
   $("command").textContent = command;
-  const { result } = state.labels, asked = new URLSearchParams(state.labels.about);
-  const picture = result && `/report.png?${asked}&at=${result.made}`;
-  $("outcome-box").hidden = !result;
-  if (result && $("report").getAttribute("src") !== picture) $("report").src = picture;
-  drawVerdict(result, `/report.html?${asked}`);
-  $("outcome").textContent = result?.said ?? "";
-  $("report-page").href = `/report.html?${asked}`;
+  drawVerdict(state.labels.result, new URLSearchParams(state.labels.about));
   $("labels-json").href = `/labels.json?${new URLSearchParams(state.labels.about)}`;
 }
 
 const VERDICTS = { right: "Looks right", uncertain: "Uncertain", wrong: "Looks wrong" };
 
-/** The verdict on the result, and why: what was found, the serious first. */
-function drawVerdict(result, page) {
+/** Buttons that take steps. */
+const buttons = (steps) => steps.map((one) => {
+  const { word, act } = results.step(one, shape());
+  return element("button", { textContent: word, onclick: act });
+});
+
+let drawn = ""; // what the verdict was drawn of: buttons that did not change keep the focus
+
+/** The verdict on the result, what to do next, and why: what was found, the serious first. */
+function drawVerdict(result, asked) {
   $("verdict").hidden = !result;
   if (!result) return;
-  const { findings } = result, serious = findings.filter((one) => one.serious).length;
+  const { job } = state.labels, now = JSON.stringify([result, results.candidate(), results.isShown(), job?.what, job?.state, shape()]);
+  if (now === drawn) return;
+  drawn = now;
+  const { findings, guessed } = result, serious = findings.filter((one) => one.serious).length;
   $("verdict").className = result.current ? result.verdict : "old";
   $("verdict-word").textContent = VERDICTS[result.verdict];
   $("verdict-probability").textContent = result.probability;
-  $("verdict-report").href = page;
+  $("verdict-report").href = `/report.html?${asked}`;
+  $("verdict-picture").href = `/report.png?${asked}&at=${result.made}`;
+  $("outcome").textContent = result.said;
+  $("steps").hidden = !result.steps.length;
+  $("steps").replaceChildren("Next: ", ...buttons(result.steps));
+  const topics = Object.entries(guessed);
+  $("guessed").hidden = !topics.length;
+  $("guessed").textContent = `Guessed: ${topics.map(([topic]) => topic).join(", ")}.`;
+  $("guessed").title = topics.map(([topic, text]) => `${topic}: ${text}`).join("\n");
+  $("show-result").checked = results.isShown();
+  drawCandidates(result, job);
   $("outdated").hidden = result.current;
   $("findings").hidden = !findings.length;
   $("findings").firstElementChild.textContent = `${many(findings.length, "finding")}${serious ? `, ${serious} serious` : ""}`;
-  const rows = findings.map(({ message, serious: worse }) => element("li", { textContent: message, className: worse ? "serious" : "" }));
+  const rows = findings.map(({ message, serious: worse, steps }) => element("li", { className: worse ? "serious" : "" }, message, element("span", { className: "buttons" }, ...buttons(steps))));
   $("findings").lastElementChild.replaceChildren(...rows);
+}
+
+/** The candidates, of which one is shown in the picture; another one than the first can be taken. */
+function drawCandidates({ candidates, current }, job) {
+  const at = results.candidate(), took = job?.what === "candidate" && job.state === "done" && at === 0;
+  $("candidates").hidden = candidates < 2;
+  $("candidate-list").replaceChildren(...Array.from({ length: candidates }, (_, n) => {
+    const button = element("button", { textContent: n + 1, title: n ? `Candidate ${n + 1} over the picture` : "The result over the picture", role: "radio", onclick: () => results.choose(n) });
+    button.ariaChecked = String(n === at);
+    return button;
+  }));
+  $("take").hidden = at === 0;
+  $("take").disabled = busy() || !current;
+  $("candidate-said").textContent = at ? `Candidate ${at + 1} is in the picture; the verdict is that of the result, candidate 1.` : took ? job.message : "";
 }
 
 export function drawPanel(joint) {
@@ -148,13 +178,16 @@ export function drawPanel(joint) {
   say(nextStep(joint));
 }
 
-$("fill").onclick = () => { work("propagate"); $("fill").blur(); };
-$("write").onclick = () => { work("files"); $("write").blur(); };
+$("fill").onclick = () => work("propagate");
+$("write").onclick = () => work("files");
 export function reconstruct() {
   work("reconstruct", shape());
 }
-$("reconstruct").onclick = () => { reconstruct(); $("reconstruct").blur(); };
+$("reconstruct").onclick = reconstruct;
 $("cancel").onclick = () => work("cancel");
-$("copy").onclick = () => { navigator.clipboard.writeText($("command").textContent); $("copy").blur(); };
-$("hidden").onchange = () => { change(player.wanted, { hidden: $("hidden").checked }); $("hidden").blur(); };
+$("take").onclick = () => work("candidate", { candidate: results.candidate() });
+$("show-result").onchange = results.toggle;
+on("field", (id) => { $(id).scrollIntoView({ block: "center" }); $(id).focus(); });
+$("copy").onclick = () => navigator.clipboard.writeText($("command").textContent);
+$("hidden").onchange = () => change(player.wanted, { hidden: $("hidden").checked });
 $("labels-json").onclick = settle;

@@ -61,11 +61,11 @@ function draw() {
 }
 
 $("states").replaceChildren(...Object.entries(STATES).map(([name, { key, word, about }]) => {
-  const button = element("button", { title: about, className: name, onclick: () => { paint(name); button.blur(); } }, element("kbd", { textContent: key }), ` ${word}`);
+  const button = element("button", { title: about, className: name, onclick: () => paint(name) }, element("kbd", { textContent: key }), ` ${word}`);
   button.dataset.state = name;
   return button;
 }));
 $("other-states").replaceChildren(...["static", "contact", "free"].map((name) => element("li", { className: name }, element("b", { textContent: STATES[name].word }), `: ${STATES[name].about}`)));
-$("still").onchange = () => { still(); $("still").blur(); };
+$("still").onchange = () => still();
 $("label-whole").onclick = () => state.interaction?.mark && emit("label", state.interaction);
 for (const name of ["task", "marks", "drawn"]) on(name, draw);

@@ -2,18 +2,23 @@
 
 import { $, ask, element, on, pick, player, problem, saving, state, emit } from "./app.js";
 
-const VERDICTS = ["right", "uncertain", "wrong"], PROGRESS = ["not begun", "drawn", ...VERDICTS];
+const VERDICTS = ["right", "uncertain", "wrong"], DONE = ["marked", "discarded", ...VERDICTS];
+const FILTERS = {
+  all: () => true,
+  open: (task) => !DONE.includes(task.state),
+  amiss: (task) => ["uncertain", "wrong"].includes(task.state),
+  done: (task) => DONE.includes(task.state),
+};
+const listed = () => state.tasks.filter(FILTERS[$("filter").value]);
 const WORDS = { "not begun": "not begun", drawn: "drawn, no result", right: "looks right", uncertain: "uncertain", wrong: "looks wrong", discarded: "skipped" };
 
-/** How far the grasp is that is labelled, in the list of clips. */
-on("labels", () => {
-  const { task, labels } = state;
-  if (!labels || !PROGRESS.includes(task?.state)) return;
-  const now = labels.result?.current ? labels.result.verdict : labels.keyframes.size ? "drawn" : "not begun";
-  if (now === task.state) return;
-  task.state = now;
+/** How far the open clip is, as the server says. */
+function lay(now) {
+  if (now === undefined || now === state.task.state) return;
+  state.task.state = now;
   drawTasks();
-});
+}
+on("labels", () => state.labels && lay(state.labels.state));
 
 export async function overview() {
   const { project, tasks, categories, reasons, last } = await ask("/api/tasks", { annotator: state.annotator });
@@ -49,9 +54,10 @@ export async function openTask(task) {
   }
 }
 
+/** Open the next or the previous clip of those that are listed. */
 export function step(by) {
-  const at = state.tasks.findIndex((task) => task.key === state.task?.key);
-  const next = state.tasks[at + by];
+  const place = (task) => state.tasks.indexOf(task), at = place(state.task), some = by > 0 ? listed() : listed().reverse();
+  const next = some.find((task) => by * (place(task) - at) > 0);
   if (next) openTask(next);
 }
 
@@ -62,12 +68,7 @@ function take(answer) {
   state.interaction = answer.interaction;
   state.newest = answer.newest;
   if (!state.marks.some((mark) => mark.mark === state.chosen)) state.chosen = null;
-  const discarded = state.marks.some((mark) => mark.reason);
-  const now = PROGRESS.includes(state.task.state) ? state.task.state : state.marks.some((mark) => mark.end !== null) ? "marked" : discarded ? "discarded" : state.marks.length ? "started" : "";
-  if (now !== state.task.state) {
-    state.task.state = now;
-    drawTasks();
-  }
+  lay(answer.state);
   emit("marks");
 }
 
@@ -87,10 +88,11 @@ on("refused", () => refresh(true));
 
 function drawTasks() {
   $("tasks").hidden = state.tasks.length < 2;
-  const done = state.tasks.filter((task) => ["marked", "discarded", ...VERDICTS].includes(task.state)).length;
+  const done = state.tasks.filter(FILTERS.done).length, some = listed();
   $("progress").textContent = `${done} of ${state.tasks.length} done`;
   const signs = { marked: "✓", discarded: "✕", started: "…", drawn: "✎", right: "✓", uncertain: "?", wrong: "!" };
-  $("task-list").replaceChildren(...state.tasks.map((task) => {
+  $("none-listed").hidden = some.length > 0;
+  $("task-list").replaceChildren(...some.map((task) => {
     const about = [task.start !== null && `${task.start}–${task.end}`, task.found ? task.side : "no footage", WORDS[task.state]].filter(Boolean).join(" · ");
     const text = element("span", {}, [task.video, task.entity ?? task.category].filter(Boolean).join(" · "), element("small", { textContent: about }));
     const button = element("button", { onclick: () => openTask(task), title: task.key, className: task.found ? "" : "missing" }, element("i", { textContent: signs[task.state] ?? "" }), text);
@@ -99,3 +101,5 @@ function drawTasks() {
   }));
   $("task-list").querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
 }
+
+$("filter").onchange = () => { drawTasks(); $("filter").blur(); };

@@ -35,6 +35,8 @@ export function drawTimeline(bars) {
   const part = (index) => `${100 * (index - first) / (last - first + 1)}%`;
   const place = (made, from, to) => Object.assign(made.style, { left: part(from), width: `calc(${part(to + 1)} - ${part(from)})` });
   place($("rough"), ...extent());
+  const now = player.shown?.number ?? first + 1;
+  Object.assign($("timeline"), { ariaValueMin: first, ariaValueMax: last, ariaValueNow: player.shown?.index ?? first, ariaValueText: `frame ${now}` });
   $("cursor").style.left = part((player.shown?.index ?? first) + 0.5);
   $("contact").hidden = state.mode === "labels" || state.info.contact === null;
   $("contact").style.left = part((state.info.contact ?? 0) + 0.5);

@@ -63,4 +63,4 @@ $("screen").addEventListener("wheel", (event) => {
 }, { passive: false });
 
 export const KEYS = { "+": () => zoom(1.5), "=": () => zoom(1.5), "-": () => zoom(1 / 1.5), "0": fit };
-for (const [id, act] of [["closer", KEYS["+"]], ["farther", KEYS["-"]], ["zoom", fit]]) $(id).onclick = () => { act(); $(id).blur(); };
+for (const [id, act] of [["closer", KEYS["+"]], ["farther", KEYS["-"]], ["zoom", fit]]) $(id).onclick = () => act();

@@ -32,7 +32,8 @@ from getagrip.studio.hands.detect_hands import HandDetectionFiles
 from getagrip.studio.hands.relift_hands import LabelMaps, write_relifted_hands
 from getagrip.studio.hands.stabilize_hands import stabilize_hands
 from getagrip.studio.jobs import NewClipCall
-from getagrip.studio.masks.propagate_clip import no_hand_mask, propagate_labels
+from getagrip.studio.masks.filled_maps import NOTHING_FILLED, FilledFrames, propagate_missing
+from getagrip.studio.masks.propagate_clip import no_hand_mask
 from getagrip.studio.masks.stroke_prompt import keyframe_label_maps
 from getagrip.studio.masks.uncertain_pixels import UncertainPixels
 from getagrip.studio.store.history import RefusedError
@@ -111,6 +112,7 @@ def write_labelled_clip_files(
     done: Callable[[int], None] = lambda _: None,
     found: HandDetectionFiles | None = None,
     name: Callable[[int], str] = lambda n: f"{n + 1:06d}",
+    filled: FilledFrames = NOTHING_FILLED,
 ) -> ClipFiles:
     """Write ``out/hand.npz`` and ``out/masks/<name>.png``, whose values are ``OBJECT_LABEL`` and so on.
 
@@ -119,9 +121,10 @@ def write_labelled_clip_files(
     ``found`` hand is lifted again.
 
     ``image`` returns the footage's frames, from 0, and ``name`` their names in a clip. If the lens is a guess or not
-    set, the files note that depth and size are guesses, too. ``done`` is called with the number of frames that are
-    done. Raises ``UsageError`` for insufficient labels, for names without a unique number, and if ``out`` exists
-    without ``overwrite`` or holds other files.
+    set, the files note that depth and size are guesses, too. Masks that are ``filled`` in already are not propagated
+    again. ``done`` is called with the number of frames that are done.
+    Raises ``UsageError`` for insufficient labels, for names without a unique number, and if ``out`` exists without
+    ``overwrite`` or holds other files.
     """
     K, camera = compute_intrinsics(lens if lens.is_set else Lens(guess_focal=True), labels.size)
     numbers = _numbers_of_names(name, labels.first, labels.last)
@@ -135,7 +138,7 @@ def write_labelled_clip_files(
         (new / "masks").mkdir()
         drawn, maps = keyframe_label_maps(labels, image, seen), LabelMaps(labels.size)
         uncertain = UncertainPixels.of_keys(drawn, image, seen, {} if found is None else found.joints)
-        for n, mask, sure in propagate_labels(image, drawn, labels.first, labels.last, hand=seen):
+        for n, mask, sure in propagate_missing(image, drawn, labels.first, labels.last, filled, seen):
             if hands is None:
                 whole = _occlude_hand_border(mask)
                 whole[uncertain.find(n, whole, image(n))] = OCCLUDER_LABEL

@@ -14,7 +14,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 from hashlib import sha256
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -440,11 +440,10 @@ def name_grasp(task: Task, mark: Mark) -> str:
 
 
 @dataclass(frozen=True)
-class Grasp:
-    """A finished grasp, or a whole interaction, and its footage."""
+class MarkedGrasp:
+    """A grasp, or a whole interaction, that is marked; its footage need not be open."""
 
     task: Task
-    footage: Footage
     mark: Mark
     whole: Interaction | None = None
     """The interaction; None for a single grasp."""
@@ -473,3 +472,10 @@ class Grasp:
         """Path of the footage."""
         assert self.task.path is not None
         return self.task.path
+
+
+@dataclass(frozen=True)
+class Grasp(MarkedGrasp):
+    """A grasp, or a whole interaction, and its footage."""
+
+    footage: Footage = field(kw_only=True)

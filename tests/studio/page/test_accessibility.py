@@ -1,0 +1,125 @@
+"""The page for everybody: contrast, labels and roles by axe-core, light and dark; by keyboard alone, by touch alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from getagrip.result import write_result
+from getagrip.result.findings import Finding, Probability
+from getagrip.studio import jobs
+from helpers.annotation import FIRST_FRAME, IN_BROWSER, MARK, Served, close, draw_disc, expect, opened, saved, shows
+from helpers.clips import small_clip
+from helpers.environment import needs_library
+from helpers.results import true_result
+
+pytestmark = IN_BROWSER
+STANDARDS = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
+
+
+def faults(page: Any) -> list[str]:
+    """What axe-core says is wrong with what is on the page now."""
+    from axe_playwright_python.sync_playwright import Axe
+
+    found = Axe().run(page, options={"runOnly": {"type": "tag", "values": STANDARDS}}).response["violations"]
+    return [f"{one['id']}: {node['target']} {node['any'][:1]}" for one in found for node in one["nodes"]]
+
+
+@needs_library("axe_playwright_python")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_contrast_labels_and_roles(
+    browser: Any, served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scheme: str
+) -> None:
+    """While marking, while labelling, and with a result; on a phone, too."""
+    found = tuple(Finding("hand-size", worse, 1.0, 0.5, f"it is {worse}") for worse in (True, False))
+
+    def ran(words: list[str], job: object) -> str:
+        if words[0] == "reconstruct":
+            one, folder = (
+                true_result(small_clip()[0], None),
+                Path(words[words.index("--out") + 1]) / Path(words[1]).name,
+            )
+            about: dict[str, Any] = {"findings": found, "assumptions": {"scale": "by the hand"}}
+            about["probability_right"] = Probability(0.5, "")
+            write_result(replace(one, **about), folder, "", {}, tmp_path, overwrite=folder.is_dir())
+        return "done"
+
+    monkeypatch.setattr(jobs, "run_command", ran)
+    context = browser.new_context(viewport={"width": 1280, "height": 720}, color_scheme=scheme)
+    page = context.new_page()
+    page.goto(f"{served.server.url}#scene")
+    assert faults(page) == []  # who is marking?
+    page.fill("#name-field", "ann")
+    page.keyboard.press("Enter")
+    shows(page, 0)
+    assert faults(page) == []
+    page.keyboard.press("?")
+    assert faults(page) == []
+    page.keyboard.press("?")
+    page.keyboard.press("l")
+    shows(page, FIRST_FRAME)
+    for tool in "jo":
+        page.keyboard.press(tool)
+        assert faults(page) == []
+    draw_disc(page, FIRST_FRAME)
+    served.project.label(
+        {
+            "grasp": MARK,
+            "task": "scene",
+            "annotator": "ann",
+            "tab": "another-tab",
+            "change": "all-joints",
+            "frame": FIRST_FRAME,
+        }
+        | {"set": {"joints": {str(n): [100.0 + n, 100.0 + n * n % 7] for n in range(21)}}}
+    )
+    page.fill("#mesh", "plate")
+    expect(page.locator("#reconstruct")).to_be_enabled()
+    page.click("#reconstruct")
+    expect(page.locator("#verdict")).to_be_visible(timeout=30_000)
+    page.click("#findings summary")
+    assert faults(page) == []
+    page.set_viewport_size({"width": 390, "height": 844})
+    assert faults(page) == []
+    close(context)
+
+
+def test_a_grasp_is_marked_by_touch_alone(browser: Any, served: Served) -> None:
+    context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True)
+    page = context.new_page()
+    page.goto(served.server.url)
+    page.fill("#name-field", "bob")
+    page.tap("dialog button")
+    shows(page, 0)
+    page.tap("#side button[data-side=left]")
+    page.tap("#ends button:has-text('Starts here')")
+    for n in range(3):
+        page.tap("#transport button:has-text('1 ▶')")
+        shows(page, n + 1)
+    page.tap("#ends button:has-text('Ends here')")
+    saved(page)
+    (mark,) = served.project.marks("scene", "bob")["marks"]  # type: ignore[misc]
+    assert (mark["start"], mark["end"], mark["side"]) == (0, 3, "left")
+    page.tap("#ends button:has-text('Label')")
+    expect(page.locator("#label-title")).to_have_text("Frames 1 – 4")
+    close(context)
+
+
+def test_buttons_are_pressed_by_the_keyboard(context: Any, served: Served) -> None:
+    """Space and Enter press the button that has the focus; the mouse leaves no focus."""
+    page = opened(context, served)
+    page.focus("#back")
+    page.keyboard.press("Enter")
+    expect(page.locator("#definition")).to_be_visible()
+    page.focus("#marks button.text")
+    page.keyboard.press(" ")
+    expect(page.locator("#marks li")).to_have_class("grasp chosen")
+    page.focus("#timeline")
+    before = int(page.get_attribute("#timeline", "aria-valuenow"))
+    page.keyboard.press("ArrowRight")
+    expect(page.locator("#timeline")).to_have_attribute("aria-valuenow", str(before + 1))
+    page.click("#closer")
+    assert page.evaluate("document.activeElement === document.body")
