@@ -34,6 +34,14 @@ EVEN_STEP_TOLERANCE = 0.5
 CAMERA_AXES_NOTE = "camera frame of each image: x right, y down, z forward; X_cam = T_cam_obj @ X_obj; metres"
 
 
+def linear_colours(mesh: Mesh) -> Float[ndarray, "V 3"] | None:
+    """Return the colours of a mesh's vertices as intensities of light, 0 to 1 (IEC 61966-2-1); None without any."""
+    if mesh.colours is None:
+        return None
+    value = mesh.colours / 255.0
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
 class ExportedHand(NamedTuple):
     """A hand in T frames; arrays as in ``Scene``."""
 
@@ -71,7 +79,7 @@ class Scene:
         fps: frames per second of the clip.
         T_cam_hand: (T, 4, 4) pose of the hand, hand frame to camera frame.
         T_hand_obj: (T, 4, 4) pose of the object, object frame to hand frame.
-        object: the mesh at its estimated size, in the object frame [m].
+        object: the mesh at its estimated size, in the object frame [m], with its own colours where it has them.
         scale: scale of the clip's mesh.
         hand_vertices: (T, V, 3) the hand's vertices in the hand frame [m].
         hand_faces: (F, 3) vertex ids.
@@ -139,7 +147,7 @@ class Scene:
             fps=clip.fps,
             T_cam_hand=some.hand.T_cam_hand,
             T_hand_obj=result.T_hand_obj,
-            object=Mesh(result.scale * some.mesh.vertices, some.mesh.faces),
+            object=Mesh(result.scale * some.mesh.vertices, some.mesh.faces, some.mesh.colours),
             scale=result.scale,
             hand_vertices=some.hand.vertices,
             hand_faces=some.hand.faces,
