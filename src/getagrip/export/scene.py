@@ -23,6 +23,7 @@ from getagrip.clip import FINGERS, Clip, OtherHand, World
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files.colours import light_of
 from getagrip.io import files
 from getagrip.io.terminal import print_note
 from getagrip.result import FrameKind, Reconstruction
@@ -35,11 +36,8 @@ CAMERA_AXES_NOTE = "camera frame of each image: x right, y down, z forward; X_ca
 
 
 def linear_colours(mesh: Mesh) -> Float[ndarray, "V 3"] | None:
-    """Return the colours of a mesh's vertices as intensities of light, 0 to 1 (IEC 61966-2-1); None without any."""
-    if mesh.colours is None:
-        return None
-    value = mesh.colours / 255.0
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    """Return the colours of a mesh's vertices as intensities of light, 0 to 1; None without any."""
+    return None if mesh.colours is None else light_of(mesh.colours)
 
 
 class ExportedHand(NamedTuple):
