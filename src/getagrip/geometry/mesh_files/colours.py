@@ -124,7 +124,7 @@ def _glb_colours(path: Path, longest: float) -> ColouredPoints | None:
     for image, content in images.items():
         shown = [n for n, part in enumerate(parts) if part.image == image]
         at = np.concatenate([corners[n][:, 3:5] for n in shown]) % 1.0
-        painted = light_of(_picture_colours(path, f"images[{image}]", content, at))
+        painted = light_of(_picture_colours(path, f"images[{image}]", bytes(content), at))
         ends = np.cumsum([len(corners[n]) for n in shown])[:-1]
         for n, colours in zip(shown, np.split(painted, ends), strict=True):
             light[n] = light[n] * colours

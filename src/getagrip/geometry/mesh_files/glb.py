@@ -45,8 +45,8 @@ def parse_glb(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
         raise InputError(path, "mesh", f"a file that does not parse ({error})", "a whole .glb file") from error
 
 
-def parse_glb_colours(path: Path, content: bytes) -> tuple[list[PaintedPart], dict[int, bytes]]:
-    """Parse the parts of a scene with colours and textures, and the bytes of their images by index.
+def parse_glb_colours(path: Path, content: bytes) -> tuple[list[PaintedPart], dict[int, memoryview]]:
+    """Parse the parts of a scene with colours and textures, and views of their images' bytes by index.
 
     Without a texture or colours of vertices, no parts. Raises ``InputError``, also for images outside the file.
     """
@@ -219,11 +219,11 @@ def _painted_part(file: _GltfFile, part: _MeshPrimitive, T_scene_node: Float[nda
     return PaintedPart(corners, _placed_faces(file, part, T_scene_node), image)
 
 
-def _image_content(file: _GltfFile, n: int) -> bytes:
+def _image_content(file: _GltfFile, n: int) -> memoryview:
     image = file.item("images", n)
     if "bufferView" not in image:
         raise InputError(file.path, "images", "an image outside the file", "a .glb with all images in it")
-    return bytes(file.bytes_of(image["bufferView"]))
+    return file.bytes_of(image["bufferView"])
 
 
 def _iterate_mesh_poses(file: _GltfFile) -> Iterator[tuple[int, Float[ndarray, "4 4"]]]:
