@@ -22,6 +22,7 @@ from getagrip.export import EXPORT_FORMATS, Scene, export
 from getagrip.export.bop import image_ids
 from getagrip.export.scene import StageFrame
 from getagrip.geometry import se3
+from getagrip.geometry.mesh_files.colours import parse_colours
 from getagrip.result import write_result
 from getagrip.result.findings import Finding, Probability
 from helpers.environment import Run
@@ -219,6 +220,21 @@ def test_the_other_hand_stands_in_its_own_frames(both: Scene, tmp_path: Path) ->
     (scale,) = (it.sampler for it in gltf.animations[0].channels if it.target.path == "scale")
     assert gltf.animations[0].samplers[scale].interpolation == "STEP"
     np.testing.assert_array_equal(accessor(gltf, gltf.animations[0].samplers[scale].output)[:, 0], [1.0, 0.0, 1.0])
+
+
+def test_an_object_keeps_its_own_colours(scene: Scene, tmp_path: Path) -> None:
+    """In glTF they are intensities of light, of which sRGB's 188 is half."""
+    colours = np.tile(np.array([255, 188, 0], np.uint8), (len(scene.object.vertices), 1))
+    painted = replace(scene, object=replace(scene.object, colours=colours))
+    gltf = GLTF2().load(export(painted, tmp_path / "glb", "glb") / "scene.glb")
+    own, hand = (gltf.meshes[n].primitives[0] for n in (0, 1))
+    linear = np.tile([1.0, 0.5, 0.0], (len(colours), 1))
+    np.testing.assert_allclose(accessor(gltf, own.attributes.COLOR_0), linear, atol=5e-3)
+    assert gltf.materials[own.material].pbrMetallicRoughness.baseColorFactor == [1.0, 1.0, 1.0, 1.0]
+    assert hand.attributes.COLOR_0 is None
+    model = parse_colours(next((export(painted, tmp_path / "bop", "bop") / "models").glob("*.ply")))
+    assert model is not None
+    np.testing.assert_array_equal(model.colours, colours)
 
 
 def test_times_of_the_animation_rise_where_single_precision_does_not(both: Scene, tmp_path: Path) -> None:

@@ -69,6 +69,17 @@ def test_usd_reads_back_every_pose_and_point(both: Scene, tmp_path: Path) -> Non
     assert "the scale is a guess" in root.GetCustomDataByKey("getagrip:notes")
 
 
+def test_an_object_keeps_its_own_colours(scene: Scene, tmp_path: Path) -> None:
+    from pxr import Usd, UsdGeom
+
+    colours = np.tile(np.array([255, 188, 0], np.uint8), (len(scene.object.vertices), 1))
+    painted = replace(scene, object=replace(scene.object, colours=colours))
+    stage = Usd.Stage.Open(str(export(painted, tmp_path / "out", "usd") / "scene.usdc"))
+    shown = UsdGeom.Mesh(stage.GetPrimAtPath("/clip/object/mesh")).GetDisplayColorPrimvar()
+    assert shown.GetInterpolation() == "vertex"
+    np.testing.assert_allclose(np.array(shown.Get()), np.tile([1.0, 0.5, 0.0], (len(colours), 1)), atol=5e-3)
+
+
 def test_without_usd_it_says_what_to_install(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(name: str) -> None:
         raise ImportError(name)

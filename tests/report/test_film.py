@@ -20,8 +20,10 @@ from getagrip.report.film import (
     draw_segment_bar,
     write_film,
 )
+from getagrip.report.pages.scene_data import constant_arrays
+from getagrip.report.pictures.contact_colours import subdivide_object
 from getagrip.report.pictures.panels import AXIS_COLOUR, HAND_LINE_COLOUR, INK_COLOUR, RESULT_COLOUR, STATE_COLOURS
-from getagrip.report.pictures.result_view import View
+from getagrip.report.pictures.result_view import View, candidate_views
 from getagrip.report.pictures.stored_results import draw_overlay, draw_side_view, smooth_track, smooth_windows
 from getagrip.result import Axis, SegmentResult
 from helpers.pages import pixels_of
@@ -58,6 +60,26 @@ def test_stills_show_contours_and_axis() -> None:
     assert pixels_of(over, RESULT_COLOUR) > 50
     assert pixels_of(over, HAND_LINE_COLOUR) > 30
     assert pixels_of(draw_side_view(view, 2, crops, 2), AXIS_COLOUR) > 20
+
+
+def test_an_object_is_shown_in_its_own_colours() -> None:
+    """Red below and blue above its middle, from the side and in the arrays of a page."""
+    view = given()
+    high = view.clip.mesh.vertices[:, 2] > view.clip.mesh.centre[2]
+    colours = np.where(high[:, None], np.array([0, 0, 255], np.uint8), np.array([255, 0, 0], np.uint8))
+    painted = replace(view, clip=replace(view.clip, mesh=replace(view.clip.mesh, colours=colours)))
+    crops = smooth_windows(view, FILM_PANEL_PX)
+    for one, many in ((view, False), (painted, True)):
+        picture = draw_side_view(one, 2, crops, 2).astype(int)
+        assert ((np.abs(picture[..., 0] - picture[..., 2]) > 150).sum() > 500) == many
+    surface = subdivide_object(painted)
+    assert surface.colours is not None
+    at = np.abs(surface.vertices[:, 2] - painted.clip.mesh.centre[2]) > 0.01
+    above = surface.vertices[at, 2] > painted.clip.mesh.centre[2]
+    np.testing.assert_array_equal(surface.colours[at], np.where(above[:, None], [0, 0, 255], [255, 0, 0]))
+    arrays = constant_arrays(candidate_views(painted), surface)
+    np.testing.assert_array_equal(arrays["object_colours"], surface.colours)
+    assert "object_colours" not in constant_arrays(candidate_views(view), subdivide_object(view))
 
 
 def test_windows_hold_hand_and_masks_and_move_less_than_they() -> None:

@@ -146,16 +146,23 @@ def _paint_mesh(
     from scipy.spatial import cKDTree
 
     from getagrip.geometry.mesh import subdivide_surface
-    from getagrip.geometry.mesh_files.colours import names_texture, painted_edge, parse_colours, texture_colours
+    from getagrip.geometry.mesh_files.colours import (
+        ColouredPoints,
+        names_texture,
+        painted_edge,
+        parse_colours,
+        texture_colours,
+    )
 
     if request.kind is not None or not _is_usable(vertices, faces):
         return vertices, faces, None, ""
     try:
-        painted = parse_colours(request.path)
         if names_texture(request.path):
             longest = painted_edge(vertices, faces)
-            painted = texture_colours(request.path, longest)
+            painted: ColouredPoints | None = texture_colours(request.path, longest)
             vertices, faces = subdivide_surface(vertices, faces, longest)
+        else:
+            painted = parse_colours(request.path)
     except InputError as error:  # a pose needs no colours
         return vertices, faces, None, f", without its texture ({error.key}: {error.got})"
     if painted is None or painted.points.shape[1:] != vertices.shape[1:]:

@@ -10,14 +10,13 @@ Clips of BOP's own datasets, such as HOT3D, keep BOP's names from their provenan
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from getagrip.export.scene import Scene, csv_text, format_vector, safe_file_name
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import files
 
@@ -57,7 +56,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     files.write_json(folder / camera, cameras)
     (folder / "models").mkdir()
     model = f"models/obj_{BOP_OBJECT_ID:06d}.ply"
-    write_mesh(Mesh(1e3 * scene.object.vertices, scene.object.faces), folder / model)
+    write_mesh(replace(scene.object, vertices=1e3 * scene.object.vertices), folder / model)
     extent = scene.object.vertices
     info = {
         "diameter": 1e3 * scene.object.diameter,

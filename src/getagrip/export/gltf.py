@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int, Shaped
 from numpy import ndarray
 
-from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, ExportedHand, Scene
+from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, ExportedHand, Scene, linear_colours
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import vertex_normals
 from getagrip.io import files
@@ -22,7 +22,7 @@ from getagrip.io import files
 if TYPE_CHECKING:
     import pygltflib
 
-GLB_FILE = "scene.glb"
+GLB_FILE, WHITE = "scene.glb", (1.0, 1.0, 1.0)
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
@@ -30,13 +30,13 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     from pygltflib import GLTF2, Animation, Asset, Material, Node, PbrMetallicRoughness
     from pygltflib import Scene as Root
 
-    gltf, buffers = GLTF2(), _Buffers()
+    gltf, buffers, colours = GLTF2(), _Buffers(), linear_colours(scene.object)
     gltf.asset = Asset(generator="getagrip", extras=_extras(scene))
-    for colour in (OBJECT_COLOUR, HAND_COLOUR):
+    for colour in (OBJECT_COLOUR if colours is None else WHITE, HAND_COLOUR):  # a factor of the vertices' colours
         pbr = PbrMetallicRoughness(baseColorFactor=[*colour, 1.0], metallicFactor=0.0, roughnessFactor=0.8)
         gltf.materials.append(Material(pbrMetallicRoughness=pbr, doubleSided=True))
     hands = scene.hands
-    gltf.meshes = [_gltf_mesh(buffers, "object", scene.object.vertices, scene.object.faces, 0)]
+    gltf.meshes = [_gltf_mesh(buffers, "object", scene.object.vertices, scene.object.faces, 0, colours=colours)]
     gltf.meshes += [
         _gltf_mesh(buffers, hand.name, hand.vertices[0], hand.faces, 1, _morph_displacements(hand)) for hand in hands
     ]
@@ -84,6 +84,7 @@ def _gltf_mesh(
     faces: Int[ndarray, "F 3"],
     material: int,
     moved: Float[ndarray, "S V 3"] | None = None,
+    colours: Float[ndarray, "V 3"] | None = None,
 ) -> pygltflib.Mesh:
     from pygltflib import Attributes, Mesh, Primitive
 
@@ -91,6 +92,8 @@ def _gltf_mesh(
         POSITION=buffers.add(vertices.astype(np.float32), bounds=True),
         NORMAL=buffers.add(vertex_normals(vertices, faces).astype(np.float32)),
     )
+    if colours is not None:
+        value.COLOR_0 = buffers.add(colours.astype(np.float32))
     steps = () if moved is None else moved.astype(np.float32)
     targets = [{"POSITION": buffers.add(step, bounds=True)} for step in steps]
     corners = buffers.add(faces.astype(np.uint32).ravel(), corners=True)

@@ -23,6 +23,7 @@ from getagrip.clip import FINGERS, Clip, OtherHand, World
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files.colours import light_of
 from getagrip.io import files
 from getagrip.io.terminal import print_note
 from getagrip.result import FrameKind, Reconstruction
@@ -32,6 +33,11 @@ OBJECT_COLOUR, HAND_COLOUR = (0.47, 0.60, 0.68), (0.86, 0.68, 0.58)
 EVEN_STEP_TOLERANCE = 0.5
 """Largest deviation from even times at which frames count as evenly spaced [steps]."""
 CAMERA_AXES_NOTE = "camera frame of each image: x right, y down, z forward; X_cam = T_cam_obj @ X_obj; metres"
+
+
+def linear_colours(mesh: Mesh) -> Float[ndarray, "V 3"] | None:
+    """Return the colours of a mesh's vertices as intensities of light, 0 to 1; None without any."""
+    return None if mesh.colours is None else light_of(mesh.colours)
 
 
 class ExportedHand(NamedTuple):
@@ -71,7 +77,7 @@ class Scene:
         fps: frames per second of the clip.
         T_cam_hand: (T, 4, 4) pose of the hand, hand frame to camera frame.
         T_hand_obj: (T, 4, 4) pose of the object, object frame to hand frame.
-        object: the mesh at its estimated size, in the object frame [m].
+        object: the mesh at its estimated size, in the object frame [m], with its own colours where it has them.
         scale: scale of the clip's mesh.
         hand_vertices: (T, V, 3) the hand's vertices in the hand frame [m].
         hand_faces: (F, 3) vertex ids.
@@ -139,7 +145,7 @@ class Scene:
             fps=clip.fps,
             T_cam_hand=some.hand.T_cam_hand,
             T_hand_obj=result.T_hand_obj,
-            object=Mesh(result.scale * some.mesh.vertices, some.mesh.faces),
+            object=Mesh(result.scale * some.mesh.vertices, some.mesh.faces, some.mesh.colours),
             scale=result.scale,
             hand_vertices=some.hand.vertices,
             hand_faces=some.hand.faces,

@@ -16,11 +16,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, ExportedHand, Scene, StageFrame
+from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, ExportedHand, Scene, StageFrame, linear_colours
 from getagrip.io import plugins
 
 if TYPE_CHECKING:
-    from pxr import Gf, Usd, Vt
+    from pxr import Gf, Usd, UsdGeom, Vt
 
 USD_FILE = "scene.usdc"
 USD_CAMERA_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -50,8 +50,11 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     _write_metadata(root, scene, on_stage, codes)
     T_stage_obj, _ = on_stage.poses(scene)
     _add_animated_transform(stage, "/clip/object", T_stage_obj, codes)
-    mesh, always = scene.object, [Usd.TimeCode.Default()]
-    _add_mesh(stage, "/clip/object/mesh", mesh.faces, OBJECT_COLOUR, mesh.vertices[None], always)
+    mesh, colours, always = scene.object, linear_colours(scene.object), [Usd.TimeCode.Default()]
+    shown = _add_mesh(stage, "/clip/object/mesh", mesh.faces, OBJECT_COLOUR, mesh.vertices[None], always)
+    if colours is not None:
+        shown.CreateDisplayColorAttr(_usd_points(colours))
+        shown.GetDisplayColorPrimvar().SetInterpolation(UsdGeom.Tokens.vertex)
     for hand in scene.hands:
         _add_usd_hand(stage, hand, np.asarray(on_stage.T_stage_cam @ hand.T_cam_hand), codes)
     _add_camera(stage, scene, on_stage, codes)
@@ -114,7 +117,7 @@ def _add_mesh(
     colour: tuple[float, float, float],
     vertices: Float[ndarray, "T V 3"],
     codes: Sequence[float | Usd.TimeCode],
-) -> None:
+) -> UsdGeom.Mesh:
     UsdGeom, Vt = _pxr("UsdGeom"), _pxr("Vt")
     mesh = UsdGeom.Mesh.Define(stage, path)
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
@@ -124,6 +127,7 @@ def _add_mesh(
     for code, points in zip(codes, vertices, strict=True):
         mesh.CreatePointsAttr().Set(_usd_points(points), code)
         mesh.CreateExtentAttr().Set(_usd_points(np.stack([points.min(axis=0), points.max(axis=0)])), code)
+    return mesh
 
 
 def _add_camera(stage: Usd.Stage, scene: Scene, on_stage: StageFrame, codes: list[float]) -> None:

@@ -17,7 +17,7 @@ from getagrip.fitting.methods import label_of
 from getagrip.geometry import se3
 from getagrip.geometry.rasterize import nearest_surface, render_rgb
 from getagrip.io.images import write_video
-from getagrip.report.pictures.panels import HAND_RGB, INK_COLOUR, OBJECT_RGB, PAPER_RGB, STATE_COLOURS
+from getagrip.report.pictures.panels import HAND_RGB, INK_COLOUR, PAPER_RGB, STATE_COLOURS, object_rgb
 from getagrip.report.pictures.result_view import View, result_times
 from getagrip.report.pictures.stored_results import draw_overlay, draw_side_view, smooth_windows
 
@@ -146,7 +146,8 @@ class FilmStage:
             meshes += [(se3.transform(self.T_eye_world, v), f, SHADOW_COLOUR) for v, f in map(self._shadow, in_world)]
         T = self.T_eye_world @ self.T_world_cam[n]
         meshes += [(se3.transform(T, hand), faces, HAND_RGB) for hand, faces in hands]
-        meshes.append((se3.transform(T, grasped), self.view.clip.mesh.faces, OBJECT_RGB))
+        mesh = self.view.clip.mesh
+        meshes.append((se3.transform(T, grasped), mesh.faces, object_rgb(mesh)))
         return render_rgb(meshes, self.K, (self.size, self.size), PAPER_RGB)
 
     def _shadow(self, vertices: Float[ndarray, "V 3"]) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"]]:

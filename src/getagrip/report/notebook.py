@@ -32,10 +32,10 @@ from getagrip.report.pictures.panels import (
     BLANK_RGB,
     HAND_RGB,
     IGNORED_MASK_RGB,
-    OBJECT_RGB,
     OBSERVED_MASK_RGB,
     PAPER_RGB,
     look_at,
+    object_rgb,
 )
 from getagrip.report.pictures.result_picture import report_figure
 from getagrip.report.pictures.result_view import View
@@ -162,12 +162,11 @@ def _(clip: Clip) -> Picture | None:
     n = len(clip) // 2
     if (file := clip.image_file(n)) is not None:
         return read_image(file, clip.size)
-    hand = se3.transform(clip.hand.T_cam_hand[n], clip.hand.vertices[n])
-    surfaces = [(hand, clip.hand.faces, HAND_RGB)]
-    if clip.truth is not None:
-        true = se3.transform(clip.truth.T_cam_obj[n], clip.truth.scale * clip.mesh.vertices)
-        surfaces.append((true, clip.mesh.faces, OBJECT_RGB))
-    return render_rgb(surfaces, clip.K[n], clip.size, PAPER_RGB)
+    hand = se3.transform(clip.hand.T_cam_hand[n], clip.hand.vertices[n]), clip.hand.faces, HAND_RGB
+    if clip.truth is None:
+        return render_rgb([hand], clip.K[n], clip.size, PAPER_RGB)
+    true = se3.transform(clip.truth.T_cam_obj[n], clip.truth.scale * clip.mesh.vertices)
+    return render_rgb([hand, (true, clip.mesh.faces, object_rgb(clip.mesh))], clip.K[n], clip.size, PAPER_RGB)
 
 
 @draw_picture.register
@@ -187,7 +186,7 @@ def _(hand: HandTrack) -> Picture | None:
 
 @draw_picture.register
 def _(mesh: Mesh) -> Picture | None:
-    return _render_surface(mesh.light.vertices, mesh.light.faces, OBJECT_RGB)
+    return _render_surface(mesh.light.vertices, mesh.light.faces, object_rgb(mesh.light))
 
 
 @draw_picture.register
@@ -198,7 +197,7 @@ def _(result: Reconstruction) -> Picture | None:
     return np.asarray(cv2.imdecode(png, cv2.IMREAD_COLOR_RGB), dtype=np.uint8)
 
 
-def _render_surface(vertices: ndarray, faces: ndarray, colour: tuple[float, float, float]) -> Picture:
+def _render_surface(vertices: ndarray, faces: ndarray, colour: tuple[float, float, float] | ndarray) -> Picture:
     eye = look_at(vertices, np.array([0.6, -0.5, -0.8]), np.array([0.0, -1.0, 0.0]), NOTEBOOK_PICTURE_PX)
     surface = se3.transform(eye.T_view_frame, vertices), faces, colour
     return render_rgb([surface], eye.K, (eye.size, eye.size), PAPER_RGB)

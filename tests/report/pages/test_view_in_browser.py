@@ -20,6 +20,7 @@ from helpers.annotation import IN_BROWSER, READS_BACK, expect, until
 from helpers.results import two_candidates
 
 pytestmark = [*IN_BROWSER, pytest.mark.slow]
+GREEN = 0, 255, 0
 EVIL = "<img src=x onerror=hacked=1><script>hacked=1<"
 
 
@@ -28,6 +29,7 @@ def served(tmp_path_factory: Any) -> Iterator[ViewerServer]:
     """Two results of a clip, and a second clip whose folder is gone by the time it is opened."""
     root: Path = tmp_path_factory.mktemp("view")
     result, clip, masks = two_candidates()
+    clip = replace(clip, mesh=replace(clip.mesh, colours=np.full_like(clip.mesh.vertices, GREEN, dtype=np.uint8)))
     where = write_clip(replace(clip, category=EVIL), masks, root / "clip")
     gone = write_clip(clip, masks, root / "gone")
     for method in ("one-dof", "static"):
@@ -71,6 +73,8 @@ def test_results_move_together_and_words_stay_words(browser: Any, served: Viewer
     expect(page.locator(".plot")).to_have_count(3)  # the gap comes last
 
     first, start = [scene(page, k) for k in (0, 1)], page.locator(".outlines .object .line").nth(1).get_attribute("d")
+    for picture in first:  # the mesh's own colours
+        assert (picture[..., 1] - picture[..., [0, 2]].max(axis=-1) > 100).mean() > 0.005
     page.locator("#slider").fill("4")
     assert "frame 000004" in page.inner_text("#frame")
     line = page.locator(".outlines .object .line").nth(1)

@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError, check_arguments
 from getagrip.geometry.mesh import Mesh, face_areas, merge_vertices
-from getagrip.geometry.mesh_files.colours import ColouredPoints, parse_colours, texture_colours
+from getagrip.geometry.mesh_files.colours import ColouredPoints, has_colours, parse_colours, texture_colours
 from getagrip.geometry.mesh_files.glb import parse_glb
 from getagrip.geometry.mesh_files.obj import obj_content, parse_obj
 from getagrip.geometry.mesh_files.ply import parse_ply, ply_content
@@ -33,16 +33,17 @@ def read_mesh(path: str | Path) -> Mesh:
 
     Closed meshes wound inward are flipped. Raises ``InputError`` for an unreadable file, no faces, degenerate faces,
     non-finite vertices or an absurd size. Colours of vertices (.ply) are kept; those of a texture are read by
-    ``read_textured_mesh``.
+    ``read_textured_mesh``; ``getagrip clip new`` reads either.
     """
     path = Path(path)
-    return _with_colours(checked_mesh(path, *parse_mesh(path)), parse_colours(path))
+    mesh = checked_mesh(path, *parse_mesh(path))
+    return _with_colours(mesh, parse_colours(path) if has_colours(path) else None)
 
 
 def read_textured_mesh(path: Path) -> Mesh:
-    """Read a mesh as ``read_mesh``, with the colour of its texture (.obj) at each vertex.
+    """Read a mesh as ``read_mesh``, with the colour of its texture (.obj, .glb) at each vertex.
 
-    Raises ``InputError`` also for a texture that does not read, is not beside the mesh, or is missing.
+    Raises ``InputError`` also for a texture that does not read, is not beside or in the mesh, or is missing.
     """
     return _with_colours(checked_mesh(path, *parse_mesh(path)), texture_colours(path))
 

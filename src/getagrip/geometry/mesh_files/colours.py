@@ -1,4 +1,4 @@
-"""Colours of a mesh, at its vertices: the vertices' own (.ply), or those of the texture that faces name (.obj, .mtl).
+"""Colours of a mesh, at its vertices: the vertices' own (.ply, .obj, .glb), or a texture's (.obj with .mtl, .glb).
 
 Scans are dense, so that colours of vertices tell as much as a picture does at the size of an object in a video, and
 every step that merges, cuts, decimates or deforms a mesh keeps them. A coarse mesh with a texture is subdivided first.
@@ -6,6 +6,7 @@ every step that merges, cuts, decimates or deforms a mesh keeps them. A coarse m
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -16,12 +17,12 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.geometry.mesh import subdivide_surface
+from getagrip.geometry.mesh_files.glb import names_glb_texture, parse_glb_colours
 from getagrip.geometry.mesh_files.ply import names_ply_colours, parse_ply_colours
 from getagrip.io import files
 
 MAX_TEXTURED_BYTES, MAX_TEXTURE_SIDE_PX = 64 * 2**20, 8192
-"""Limits of a textured .obj file and its picture, and of the picture's sides."""
-
+"""Limits of a textured .obj file and of a picture, and of the picture's sides."""
 
 MAX_COARSE_FACES, EDGES_PER_SIDE, MAX_PAINTED_FACES = 4000, 40, 100_000
 """Maximum faces of a mesh that is subdivided; then, edges along its largest side, and about the maximum of faces."""
@@ -36,9 +37,13 @@ class ColouredPoints(NamedTuple):
 
 def parse_colours(path: Path) -> ColouredPoints | None:
     """Parse the colours that a mesh file has at its vertices; None without any. Raises ``InputError``."""
-    if path.suffix.lower() != ".ply":
+    suffix = path.suffix.lower()
+    if suffix == ".glb":
+        return _glb_colours(path, np.inf)
+    if suffix not in (".ply", ".obj"):
         return None
-    found = parse_ply_colours(path, files.strip_byte_order_mark(files.read_bytes(path, MAX_TEXTURED_BYTES * 2)))
+    content = files.strip_byte_order_mark(files.read_bytes(path, MAX_TEXTURED_BYTES * 2))
+    found = parse_ply_colours(path, content) if suffix == ".ply" else _obj_colours(path, content)
     return None if found is None or not np.isfinite(found[0]).all() or not len(found[0]) else ColouredPoints(*found)
 
 
@@ -51,10 +56,11 @@ def has_colours(path: Path) -> bool:
 
 
 def names_texture(path: Path) -> bool:
-    """Return whether a file is an .obj file that names a file of materials. Raises ``InputError``."""
-    if path.suffix.lower() != ".obj":
+    """Return whether an .obj file names a file of materials, or a .glb file has a texture. Raises ``InputError``."""
+    if path.suffix.lower() not in (".obj", ".glb"):
         return False
-    return b"\nmtllib " in b"\n" + files.read_bytes(path, MAX_TEXTURED_BYTES * 2)
+    content = files.read_bytes(path, MAX_TEXTURED_BYTES * 2)
+    return b"\nmtllib " in b"\n" + content if path.suffix.lower() == ".obj" else names_glb_texture(path, content)
 
 
 def painted_edge(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> float:
@@ -77,12 +83,14 @@ def _count_pieces(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], l
 
 
 def texture_colours(path: Path, longest: float = np.inf) -> ColouredPoints:
-    """Read the texture's colour at each corner of an .obj file's faces, subdivided until no edge is above ``longest``.
+    """Read the texture's colour at each corner of a file's faces, subdivided until no edge is above ``longest``.
 
-    Raises ``InputError`` for a file that does not read, or without a texture beside it.
+    Raises ``InputError`` for a file that does not read, or without a texture: beside an .obj file, in a .glb file.
     """
-    from getagrip.io.images import decode_image
-
+    if path.suffix.lower() == ".glb":
+        if (found := _glb_colours(path, longest)) is None:
+            raise InputError(path, "textures", "no colours", "a material with a texture in the file")
+        return found
     lines = files.read_text(path, MAX_TEXTURED_BYTES).splitlines()
     corners, faces = _texture_coordinates(path, lines)
     if _count_pieces(corners[:, :3], faces, longest) < MAX_PAINTED_FACES:
@@ -90,14 +98,65 @@ def texture_colours(path: Path, longest: float = np.inf) -> ColouredPoints:
     placed, uv = np.split(corners, [3], axis=1)
     material = _named_file(path, lines, "mtllib")
     texture = _named_file(material, files.read_text(material, files.MAX_JSON_BYTES).splitlines(), "map_Kd")
-    image = decode_image(texture, "", files.read_bytes(texture, MAX_TEXTURED_BYTES), MAX_TEXTURE_SIDE_PX)
+    content = files.read_bytes(texture, MAX_TEXTURED_BYTES)
+    at = np.array([0.0, 1.0]) + np.array([1.0, -1.0]) * (uv % 1.0)
+    return ColouredPoints(placed, _picture_colours(texture, "", content, at))
+
+
+def _picture_colours(path: Path, key: str, content: bytes, at: Float[ndarray, "n 2"]) -> UInt8[ndarray, "n 3"]:
+    """Return the colours of a picture at places in it, to the right and down, from 0 to 1."""
+    from getagrip.io.images import decode_image
+
+    image = decode_image(path, key, content, MAX_TEXTURE_SIDE_PX)
     height, width = image.shape[:2]
-    column, row = (np.array([[0.0, 1.0]]) + np.array([[1.0, -1.0]]) * (uv % 1.0)).T
-    at = (
-        np.clip(row * height, 0, height - 1).astype(int),
-        np.clip(column * width, 0, width - 1).astype(int),
-    )
-    return ColouredPoints(placed, image[at])
+    column, row = (np.clip(at * [width, height], 0, [width - 1, height - 1])).astype(int).T
+    return image[row, column]
+
+
+def _glb_colours(path: Path, longest: float) -> ColouredPoints | None:
+    """Return the colours of a .glb file's parts at their corners, subdivided; None without any."""
+    parts, images = parse_glb_colours(path, files.read_bytes(path, MAX_TEXTURED_BYTES * 2))
+    if not parts:
+        return None
+    fine = sum(_count_pieces(part.corners[:, :3], part.faces, longest) for part in parts) < MAX_PAINTED_FACES
+    corners = [subdivide_surface(part.corners, part.faces, longest)[0] if fine else part.corners for part in parts]
+    light = [each[:, 5:] for each in corners]
+    for image, content in images.items():
+        shown = [n for n, part in enumerate(parts) if part.image == image]
+        at = np.concatenate([corners[n][:, 3:5] for n in shown]) % 1.0
+        painted = light_of(_picture_colours(path, f"images[{image}]", bytes(content), at))
+        ends = np.cumsum([len(corners[n]) for n in shown])[:-1]
+        for n, colours in zip(shown, np.split(painted, ends), strict=True):
+            light[n] = light[n] * colours
+    return ColouredPoints(np.concatenate(corners)[:, :3], colours_of_light(np.concatenate(light)))
+
+
+def light_of(colours: UInt8[ndarray, "*n 3"]) -> Float[ndarray, "*n 3"]:
+    """Return the intensities of light of colours, 0 to 1 (sRGB, IEC 61966-2-1)."""
+    value = colours / 255.0
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def colours_of_light(light: Float[ndarray, "*n 3"]) -> UInt8[ndarray, "*n 3"]:
+    """Return the colours of intensities of light, 0 to 1, the inverse of ``light_of``."""
+    value = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
+    return np.round(255.0 * value).astype(np.uint8)
+
+
+def _obj_colours(path: Path, content: bytes) -> tuple[Float[ndarray, "n 3"], UInt8[ndarray, "n 3"]] | None:
+    """Return the vertices of an .obj file and the colours behind their coordinates; None without any."""
+    first = re.search(rb"^v[ \t](.*)$", content, re.MULTILINE)
+    if first is None or len(first[1].split()) != 6:
+        return None
+    try:
+        rows = np.array(
+            [line.split()[1:7] for line in content.splitlines() if line[:2] in (b"v ", b"v\t")], dtype=float
+        )
+    except ValueError as error:
+        raise InputError(path, "v", "vertices of which some have no colour", "x y z r g b in every line") from error
+    if not (rows[:, 3:] >= 0.0).all() or not (rows[:, 3:] <= 1.0).all():
+        raise InputError(path, "v", "colours beyond 0 to 1", "red, green and blue from 0 to 1 behind x y z")
+    return rows[:, :3], np.round(255.0 * rows[:, 3:]).astype(np.uint8)
 
 
 def _texture_coordinates(path: Path, lines: Sequence[str]) -> tuple[Float[ndarray, "n 5"], Int[ndarray, "m 3"]]:

@@ -99,6 +99,8 @@ def constant_arrays(candidates: Sequence[View], surface: Mesh) -> dict[str, ndar
     }
     if view.posed:
         out |= {"object_vertices": surface.vertices, "object_faces": surface.faces}
+        if surface.colours is not None:
+            out["object_colours"] = surface.colours
     if (other := clip.other_hand) is not None:
         out |= {"other_hand_faces": other.track.faces, "other_hand_known": other.known}
         out["T_cam_other_hand"] = other.track.T_cam_hand
@@ -164,7 +166,7 @@ def _bounding_box_centre(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "3"]
 def _compact_dtype(name: str, values: ndarray) -> ndarray:
     if name.endswith("_near"):
         return np.round(255.0 * values).astype(np.uint8)
-    if name.endswith("_known"):
+    if name.endswith(("_known", "_colours")):
         return values.astype(np.uint8)
     if name.endswith("_faces"):
         return values.astype(np.uint16 if values.max(initial=0) < 2**16 else np.uint32)

@@ -93,10 +93,17 @@ def contact_surfaces(view: View, threshold: float) -> tuple[ContactSurface, Cont
 
 
 def subdivide_object(view: View) -> Mesh:
-    """Subdivide the object's mesh to about ``N_CONTACT_VERTICES`` vertices, fine enough for the border of contact."""
-    mesh = view.clip.mesh
+    """Subdivide the object's mesh to about ``N_CONTACT_VERTICES`` vertices, fine enough for the border of contact.
+
+    Colours are interpolated.
+    """
+    mesh, colours = view.clip.mesh, np.zeros((len(view.clip.mesh.vertices), 0))
+    if mesh.colours is not None:
+        colours = mesh.colours.astype(float)
     longest = edge_length(float(mesh.vertex_areas.sum()), N_CONTACT_VERTICES)
-    return Mesh(*subdivide_surface(mesh.vertices, mesh.faces, longest))
+    made, faces = subdivide_surface(np.concatenate([mesh.vertices, colours], axis=1), mesh.faces, longest)
+    vertices, fine = np.split(made, [3], axis=1)
+    return Mesh(vertices, faces, None if mesh.colours is None else fine.round().astype(np.uint8))
 
 
 def surface_distances(view: View, surface: Mesh, reach: float) -> tuple[Float[ndarray, "T V"], Float[ndarray, "T W"]]:

@@ -19,6 +19,7 @@ from numpy import ndarray
 
 from getagrip.geometry import se3
 from getagrip.geometry.camera import Crops, bounding_boxes, project
+from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.rasterize import Surface, depth_and_face, render_coverage, render_rgb
 from getagrip.io.images import read_image
 from getagrip.report.pictures.result_view import View
@@ -33,7 +34,7 @@ AXIS_COLOUR, HIDDEN_AXIS_COLOUR = "#2a9d8f", "#a8e0d5"
 STATE_COLOURS = {"static": "#6f9a8d", "contact": "#e0a458", "grasp": "#c8553d", "free": "#7b5ea7", "unknown": "#d9dad6"}
 """Colours of the states in a timeline's bar."""
 HAND_RGB, OBJECT_RGB = (0.87, 0.72, 0.63), (0.44, 0.58, 0.69)
-"""Colours of rendered surfaces."""
+"""Colours of rendered surfaces, of an object where its mesh has none."""
 PAPER_RGB = (0xF4 / 255.0, 0xF4 / 255.0, 0xF1 / 255.0)
 """``PAPER_COLOUR`` for rendered pictures."""
 BLANK_RGB, OBSERVED_MASK_RGB, IGNORED_MASK_RGB = (244, 244, 241), (126, 158, 184), (216, 200, 186)
@@ -262,13 +263,19 @@ def render_posed(
     if from_side:  # else an object far before or behind the hand is cut off
         reach = np.abs(project(K, np.concatenate([hand, grasped])) - size / 2.0).max()
         K[:2, :2] *= min(1.0, 0.48 * size / reach)
-    meshes = [(hand, view.clip.hand.faces, HAND_RGB), *(((grasped, faces, OBJECT_RGB),) if len(faces) else ())]
+    colours = object_rgb(view.clip.mesh) if view.frame_meshes is None else OBJECT_RGB
+    meshes = [(hand, view.clip.hand.faces, HAND_RGB), *(((grasped, faces, colours),) if len(faces) else ())]
     meshes += [(*other, HAND_RGB) for other in others]
     picture = render_rgb(meshes, K, (size, size), PAPER_RGB)
     if view.result.axis is None:
         return picture, None
     line = se3.transform(T_view_cam @ view.clip.hand.T_cam_hand[n], axis_points(view))
     return picture, _project_visible(line, [mesh[:2] for mesh in meshes], K, size)
+
+
+def object_rgb(mesh: Mesh) -> tuple[float, float, float] | Float[ndarray, "V 3"]:
+    """Return the colours in which a mesh is rendered, 0 to 1: its own, else ``OBJECT_RGB``."""
+    return OBJECT_RGB if mesh.colours is None else mesh.colours / 255.0
 
 
 def axis_points(view: View) -> Float[ndarray, "n 3"]:

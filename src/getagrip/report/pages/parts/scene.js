@@ -10,22 +10,23 @@ const SHOWN = {
 
 const VERTEX = `#version 300 es
 uniform mat4 T_eye_mesh, projection;
-in vec3 position, normal;
+in vec3 position, normal, paint;
 in float touch;
-out vec3 at, across;
+out vec3 at, across, painting;
 out float touching;
 void main() {
   vec4 point = T_eye_mesh * vec4(position, 1.0);
   at = point.xyz;
   across = mat3(T_eye_mesh) * normal;
   touching = touch;
+  painting = paint;
   gl_Position = projection * point;
 }`;
 const FRAGMENT = `#version 300 es
 precision highp float;
 uniform vec3 colour, contact;
-uniform float opacity, lit, coloured, border, fades;  // contact is where touching is above the border
-in vec3 at, across;
+uniform float opacity, lit, painted, coloured, border, fades;  // contact is where touching is above the border
+in vec3 at, across, painting;
 in float touching;
 out vec4 pixel;
 void main() {
@@ -33,7 +34,7 @@ void main() {
   if (dot(n, to_eye) < 0.0) n = -n;  // the inside of an open mesh is lit as well
   float light = 0.3 + 0.5 * max(dot(n, normalize(vec3(-0.35, -0.6, -0.72))), 0.0) + 0.3 * abs(dot(n, to_eye));
   float met = coloured * clamp(0.5 + (touching - border) / (2.0 * fades), 0.0, 1.0);
-  pixel = vec4(min(mix(colour, contact, met) * mix(1.0, light, lit), 1.0), 1.0) * opacity;
+  pixel = vec4(min(mix(mix(colour, painting, painted), contact, met) * mix(1.0, light, lit), 1.0), 1.0) * opacity;
 }`;
 
 const IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
@@ -116,19 +117,23 @@ function rod(from, to, radius, sides = 12) {
 
 /** A surface on the graphics card. */
 class Surface {
-  constructor(gl, program, faces) {
+  /** `colours`: red, green and blue of each vertex, if it has its own. */
+  constructor(gl, program, faces, colours) {
     Object.assign(this, { gl, faces, count: faces.length, wide: faces instanceof Uint32Array, buffers: {} });
     this.array = gl.createVertexArray();
     gl.bindVertexArray(this.array);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, faces, gl.STATIC_DRAW);
-    for (const [name, length, type] of [["position", 3, gl.FLOAT], ["normal", 3, gl.FLOAT], ["touch", 1, gl.UNSIGNED_BYTE]]) {
+    const values = [["position", 3, gl.FLOAT], ["normal", 3, gl.FLOAT], ["touch", 1, gl.UNSIGNED_BYTE]];
+    if (colours) values.push(["paint", 3, gl.UNSIGNED_BYTE]);
+    for (const [name, length, type] of values) {
       const place = gl.getAttribLocation(program, name);
       this.buffers[name] = gl.createBuffer();
       gl.bindBuffer(gl.ARRAY_BUFFER, this.buffers[name]);
       gl.enableVertexAttribArray(place);
       gl.vertexAttribPointer(place, length, type, type === gl.UNSIGNED_BYTE, 0, 0);
     }
+    if (colours) this.put("paint", colours);
   }
 
   put(name, values) {

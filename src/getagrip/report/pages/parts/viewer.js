@@ -38,13 +38,13 @@ class Viewer {
     this.program = compiled(gl);
     gl.useProgram(this.program);
     this.places = {};
-    for (const name of ["T_eye_mesh", "projection", "colour", "contact", "opacity", "lit", "coloured", "border", "fades"]) {
+    for (const name of ["T_eye_mesh", "projection", "colour", "contact", "opacity", "lit", "painted", "coloured", "border", "fades"]) {
       this.places[name] = gl.getUniformLocation(this.program, name);
     }
-    const surface = (faces) => new Surface(gl, this.program, faces);
+    const surface = (faces, colours) => new Surface(gl, this.program, faces, colours);
     this.hand = surface(arrays.hand_faces);
     if (arrays.object_faces) {
-      this.object = surface(arrays.object_faces);
+      this.object = surface(arrays.object_faces, arrays.object_colours);
       this.object.move(arrays.object_vertices);
     }
     if (arrays.other_hand_faces) this.other = surface(arrays.other_hand_faces);
@@ -163,7 +163,7 @@ class Viewer {
     }
     if (!this.object) return;
     const T_eye_obj = scaled(product(T_eye_hand, this.inHand()), arrays.scale[this.candidate]);
-    if (shown.object) this.part(this.object, T_eye_obj, SHOWN.object, { coloured });
+    if (shown.object) this.part(this.object, T_eye_obj, SHOWN.object, { coloured, painted: Boolean(arrays.object_colours) });
     const axis = shown.axis && this.axes && this.axes[this.candidate];
     if (axis) {
       gl.depthFunc(gl.GREATER);  // where something is in front of it
@@ -192,13 +192,14 @@ class Viewer {
     gl.disable(gl.POLYGON_OFFSET_FILL);
   }
 
-  part(surface, T_eye_mesh, colour, { opacity = 1, lit = 1, coloured = false } = {}) {
+  part(surface, T_eye_mesh, colour, { opacity = 1, lit = 1, painted = false, coloured = false } = {}) {
     const { gl, places } = this;
     gl.uniformMatrix4fv(places.T_eye_mesh, true, T_eye_mesh);
     gl.uniform3fv(places.colour, colour);
     gl.uniform3fv(places.contact, SHOWN.contact);
     gl.uniform1f(places.opacity, opacity);
     gl.uniform1f(places.lit, lit);
+    gl.uniform1f(places.painted, painted ? 1 : 0);
     gl.uniform1f(places.coloured, coloured ? 1 : 0);
     surface.draw();
   }
