@@ -371,8 +371,13 @@ def test_what_does_not_look_right_is_flagged_and_can_be_left_out(clip_folder: Pa
     status, _, err = run("export", tmp_path / "results", "--to", "csv", "--out", some, "--only-right")
     assert (status, err.count("left out")) == (0, 2)
     assert [path.name for path in some.iterdir()] == ["right"]
-    _, _, err = run("export", tmp_path / "results", "--to", "csv", "--out", every, "--only-right", "--overwrite")
+    _, _, err = run("export", tmp_path / "results" / "wrong", "--to", "csv", "--out", every, "--only-right")
     assert f"an earlier export stays in {every / 'wrong'}" in err
+    (every / "uncertain" / "about.json").unlink()  # no export: a folder of somebody's
+    _, _, err = run("export", tmp_path / "results", "--to", "csv", "--out", every, "--only-right", "--overwrite")
+    assert "left out; an earlier export is removed" in err
+    assert {path.name for path in every.iterdir()} == {"right", "uncertain"}
+    assert (every / "uncertain" / "poses.csv").is_file()
 
 
 def test_uneven_frames_are_resampled(scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:
