@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -65,7 +66,9 @@ def test_every_format_says_what_its_files_hold(scene: Scene, tmp_path: Path, to:
     assert about["notes"] == ["the scale is a guess"]
     assert len(about["time_s"]) == len(about["frames"]) == 3
     written = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()} - {"about.json"}
-    named = {name.replace("<frame>", frame) for name in about["files"] for frame in scene.frames}
+    images = [f"{image:06d}" for image in image_ids(scene.frames)]
+    pairs = [*zip(scene.frames, images, strict=True)]
+    named = {name.replace("<frame>", a).replace("<image>", b) for name in about["files"] for a, b in pairs}
     assert written == named
     assert all("mm" in words or "metres" in words or "intrinsics" in words or "same" in words
                for words in about["files"].values())  # fmt: skip
@@ -125,6 +128,56 @@ def test_bop_poses_bring_the_model_into_the_camera(scene: Scene, tmp_path: Path)
     assert info["diameter"] == pytest.approx(1e3 * scene.object.diameter)
     assert image_ids(("000007", "000012")) == [7, 12]
     assert image_ids(("7", "007")) == image_ids(("a", "b")) == [0, 1]
+
+
+def test_bop_folders_have_all_files_of_a_scene_as_bop_describes_them(scene: Scene, tmp_path: Path) -> None:
+    """Read by the names and keys of BOP's description of its format, images of eight bits."""
+    width, height = scene.size
+    K = scene.K.copy()
+    K[1, 0, 2] -= 0.5 * width  # the object is partly beside the second image
+    picture = tmp_path / "picture.png"
+    cv2.imwrite(str(picture), np.full((height, width, 3), 7, np.uint8))
+    folder = export(replace(scene, K=K, image_files=(picture,) * 3), tmp_path / "out", "bop")
+    (poses, information, cameras, camera, models) = (
+        json.loads((folder / name).read_text())
+        for name in (
+            "scene_gt.json",
+            "scene_gt_info.json",
+            "scene_camera.json",
+            "camera.json",
+            "models/models_info.json",
+        )
+    )
+    assert camera.keys() == {"cx", "cy", "depth_scale", "fx", "fy", "height", "width"}
+    assert (camera["width"], camera["height"]) == scene.size
+    assert poses.keys() == information.keys() == cameras.keys()
+    for n, image in enumerate(poses):
+        (about,) = information[image]
+        whole, seen = (
+            cv2.imread(str(folder / kind / f"{int(image):06d}_000000.png"), cv2.IMREAD_UNCHANGED)
+            for kind in ("mask", "mask_visib")
+        )
+        assert whole.shape == seen.shape == cv2.imread(str(folder / "rgb" / f"{int(image):06d}.png")).shape[:2]
+        assert {*np.unique(whole), *np.unique(seen)} <= {0, 255}
+        assert not (seen > whole).any()
+        assert about.keys() == {
+            "bbox_obj", "bbox_visib", "px_count_all", "px_count_valid", "px_count_visib", "visib_fract"
+        }  # fmt: skip
+        assert about["px_count_visib"] == np.count_nonzero(seen)
+        assert about["visib_fract"] == about["px_count_visib"] / about["px_count_all"]
+        assert (about["px_count_all"] > np.count_nonzero(whole)) == (n == 1)
+        (_, _, w, h), (left, top, seen_w, seen_h) = about["bbox_obj"], about["bbox_visib"]
+        assert w >= seen_w
+        assert h >= seen_h
+        assert (left, top, seen_w, seen_h) == cv2.boundingRect(seen)
+        corners = object_in_camera(scene)[n] @ K[n].T
+        uv = corners[:, :2] / corners[:, 2:]
+        np.testing.assert_allclose(about["bbox_obj"][:2], uv.min(axis=0), atol=1.0)
+        np.testing.assert_allclose((w, h), np.ptp(uv, axis=0), atol=2.0)
+    mesh = trimesh.load(folder / "models" / "obj_000001.ply", process=False)
+    np.testing.assert_allclose(
+        [models["1"][f"size_{axis}"] for axis in "xyz"], np.ptp(mesh.vertices, axis=0), rtol=1e-5
+    )
 
 
 @pytest.mark.parametrize(
@@ -318,8 +371,13 @@ def test_what_does_not_look_right_is_flagged_and_can_be_left_out(clip_folder: Pa
     status, _, err = run("export", tmp_path / "results", "--to", "csv", "--out", some, "--only-right")
     assert (status, err.count("left out")) == (0, 2)
     assert [path.name for path in some.iterdir()] == ["right"]
-    _, _, err = run("export", tmp_path / "results", "--to", "csv", "--out", every, "--only-right", "--overwrite")
+    _, _, err = run("export", tmp_path / "results" / "wrong", "--to", "csv", "--out", every, "--only-right")
     assert f"an earlier export stays in {every / 'wrong'}" in err
+    (every / "uncertain" / "about.json").unlink()  # no export: a folder of somebody's
+    _, _, err = run("export", tmp_path / "results", "--to", "csv", "--out", every, "--only-right", "--overwrite")
+    assert "left out; an earlier export is removed" in err
+    assert {path.name for path in every.iterdir()} == {"right", "uncertain"}
+    assert (every / "uncertain" / "poses.csv").is_file()
 
 
 def test_uneven_frames_are_resampled(scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:

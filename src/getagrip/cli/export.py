@@ -86,8 +86,8 @@ class Export(Command):
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
     only_right: Flag = False
-    """Leave out results that look wrong or uncertain. Without it they are exported and named, and about.json says what
-    each looks like."""
+    """Leave out results that look wrong or uncertain; with --overwrite their earlier exports are removed. Without
+    --only-right they are exported and named, and about.json says what each looks like."""
     overwrite: Flag = False
     """Replace exports that are there already."""
 
@@ -130,7 +130,7 @@ class Export(Command):
                 _, scene = _read_scene(folder, self.clips)
                 target = folder / f"export-{self.to}" if self.out is None else self.out / folder.resolve().name
                 if scene.verdict != "right":
-                    _flag(scene, self.only_right, target)
+                    _flag(scene, self.only_right, target, self.overwrite and dataset is None)
                     if self.only_right:
                         continue
                 scene = scene if self.fps is None else scene.even(self.fps)
@@ -145,13 +145,18 @@ class Export(Command):
         return int(failures.any)
 
 
-def _flag(scene: Scene, left_out: bool, target: Path) -> None:
-    """Print that a result does not look right and, if it is left out, name an earlier export of it."""
+def _flag(scene: Scene, left_out: bool, target: Path, overwrite: bool) -> None:
+    """Print that a result does not look right; if it is left out, remove or name an earlier export of it."""
+    from getagrip.export import remove_export
+
     serious = scene.findings_serious
     why = f", with {format_count(serious, 'serious finding')}" if serious else ""
     looks = f"looks {scene.verdict}" if scene.verdict == "wrong" else "is uncertain"
-    stays = f"; an earlier export stays in {target}" if left_out and target.is_dir() else ""
-    print_note(f"{scene.name} {looks}{why}{': left out' if left_out else ''}{stays}")
+    earlier = ""
+    if left_out and target.is_dir():
+        removed = overwrite and remove_export(target)
+        earlier = "; an earlier export is removed" if removed else f"; an earlier export stays in {target}"
+    print_note(f"{scene.name} {looks}{why}{': left out' if left_out else ''}{earlier}")
 
 
 def _clip_name(folder: Path) -> str:

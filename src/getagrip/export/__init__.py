@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -43,6 +44,18 @@ _FORMATS: dict[str, Write] = {
 }
 EXPORT_FORMATS = PluginTable("exports", _FORMATS, "a function write(scene, folder)", lambda _, it: callable(it))
 ABOUT_FILE = "about.json"
+
+
+def remove_export(folder: Path) -> bool:
+    """Remove a folder that ``export`` wrote, and return whether it was one; others stay.
+
+    Raises the errors of ``files.refuse_link`` for a link in its place.
+    """
+    files.refuse_link(folder)
+    if not (folder / ABOUT_FILE).is_file():
+        return False
+    shutil.rmtree(folder)
+    return True
 
 
 def export(scene: Scene, folder: str | Path, to: str, overwrite: bool = False) -> Path:

@@ -1,8 +1,12 @@
-"""BOP: a results CSV, and the same poses as ``scene_gt`` and ``scene_camera`` with the model in millimetres.
+"""BOP: a results CSV, and the same poses as a scene of ground truth, with masks and the model in millimetres.
 
 As in the BOP toolkit: ``R``, row by row, and ``t`` [mm] map the model to the camera frame (x right, y down, z forward);
 ``time`` is -1, not measured per image. The toolkit splits file names, ``METHOD_DATASET-SPLIT.csv``, at underscores and
 hyphens.
+
+The folder is that of a scene: images, and masks rendered of the poses, so that they are estimates as these are.
+``mask`` is the whole silhouette, ``mask_visib`` is without what the posed hands hide; ``scene_gt_info`` counts and
+bounds both. No pixel has a valid depth: the footage has none.
 
 Clips of BOP's own datasets, such as HOT3D, keep BOP's names from their provenance: the dataset ``hot3d``, the headset
 (``aria``, ``quest3``) as the split's type, and the camera in file names, such as ``scene_gt_rgb.json``.
@@ -14,11 +18,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool
+from numpy import ndarray
 
 from getagrip.export.scene import Scene, csv_text, format_vector, safe_file_name
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import write_mesh
+from getagrip.geometry.rasterize import depth_and_face, render_coverage
 from getagrip.io import files
+from getagrip.io.files import read_bytes
+from getagrip.io.images import read_image, write_image
+from getagrip.readers.video import MAX_FRAME_FILE_BYTES
 
 BOP_RESULT_COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 BOP_SCENE_ID, BOP_OBJECT_ID = 1, 1
@@ -36,7 +46,7 @@ class BopFileNames:
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
-    """Write the results, the scene's two files and the model."""
+    """Write the results, the scene's files, images and masks, and the model. Raises ``InputError`` for an image."""
     images, naming = image_ids(scene.frames), naming_of(scene)
     R, t = scene.T_cam_obj[:, :3, :3], 1e3 * scene.T_cam_obj[:, :3, 3]
     method = safe_file_name(f"getagrip-{scene.method}").replace(".", "-")
@@ -64,14 +74,84 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         **{f"size_{axis}": 1e3 * np.ptp(extent[:, k]) for k, axis in enumerate("xyz")},
     }
     files.write_json(folder / "models" / "models_info.json", {str(BOP_OBJECT_ID): info})
-    return {
+    fx, fy, (cx, cy) = scene.K[0, 0, 0], scene.K[0, 1, 1], scene.K[0, :2, 2]
+    width, height = scene.size
+    pinhole = {"cx": cx, "cy": cy, "depth_scale": 1.0, "fx": fx, "fy": fy, "height": height, "width": width}
+    files.write_json(folder / "camera.json", pinhole)
+    return _write_images(scene, folder, naming.camera, images) | {
         results: "BOP results: R row by row, t in mm, model to camera; score is the mask IOU, 0 where no mask shows "
         "the object; time -1: not per image",
         ground_truth: "the same poses in the layout of BOP's ground truth; they are estimates",
         camera: "intrinsics of each image and, where known, the poses world to camera, in mm",
         model: "the object at its estimated size, in mm",
-        "models/models_info.json": "diameter and bounding box, in mm",
+        "models/models_info.json": "diameter and bounding box, in mm, of the model as it was fitted",
+        "camera.json": "size of the images, and the intrinsics of the first one",
     }
+
+
+def _write_images(scene: Scene, folder: Path, camera: str, images: list[int]) -> dict[str, str]:
+    """Write images, masks and their counts; return what was written."""
+    mask, visible, information = f"mask{camera}", f"mask_visib{camera}", f"scene_gt_info{camera}.json"
+    written = {
+        f"{mask}/<image>_000000.png": "silhouettes of the model at the same poses",
+        f"{visible}/<image>_000000.png": "the same without what the posed hands hide",
+        information: "bounding boxes [x, y, width, height] and numbers of pixels of the same masks; no depth is known",
+    }
+    for name in (mask, visible):
+        (folder / name).mkdir()
+    about = {}
+    for n, image in enumerate(images):
+        whole, seen = object_pixels(scene, n)
+        width, height = scene.size
+        inside = whole[height : 2 * height, width : 2 * width]
+        for name, pixels in ((mask, inside), (visible, seen)):
+            write_image(folder / name / f"{image:06d}_{0:06d}.png", np.where(pixels, np.uint8(255), np.uint8(0)))
+        count, shown = int(np.count_nonzero(whole)), int(np.count_nonzero(seen))
+        about[str(image)] = [
+            {
+                "bbox_obj": _bounding_box(whole, (width, height)),
+                "bbox_visib": _bounding_box(seen, (0, 0)),
+                "px_count_all": count,
+                "px_count_valid": 0,
+                "px_count_visib": shown,
+                "visib_fract": shown / count if count else 0.0,
+            }
+        ]
+    files.write_json(folder / information, about)
+    known = {image: path for image, path in zip(images, scene.image_files, strict=False) if path is not None}
+    if known:
+        colours = camera.removeprefix("_") or "rgb"
+        (folder / colours).mkdir()
+        for image, path in known.items():
+            suffix = ".png" if path.suffix.lower() == ".png" else ".jpg"
+            read_image(path, scene.size)  # which refuses what is no image of this size
+            files.write_bytes(folder / colours / f"{image:06d}{suffix}", read_bytes(path, MAX_FRAME_FILE_BYTES))
+        written[f"{colours}/<image>.png"] = "the same images as the clip's, .jpg where its are"
+    return written
+
+
+def object_pixels(scene: Scene, n: int) -> tuple[Bool[ndarray, "h w"], Bool[ndarray, "H W"]]:
+    """Render a frame's object: all its pixels, with an image's size around the image, and the visible ones in it."""
+    width, height = scene.size
+    K = scene.K[n].copy()
+    K[:2, 2] += width, height
+    posed = se3.transform(scene.T_cam_obj[n], scene.object.vertices)
+    whole = render_coverage(posed, scene.object.faces, K, (3 * width, 3 * height))
+    seen = whole[height : 2 * height, width : 2 * width].copy()
+    depth, _ = depth_and_face(posed, scene.object.faces, scene.K[n], scene.size)
+    for hand in scene.hands:
+        if hand.known[n]:
+            seen &= depth < depth_and_face(hand.in_camera[n], hand.faces, scene.K[n], scene.size)[0]
+    return whole, seen
+
+
+def _bounding_box(pixels: Bool[ndarray, "h w"], origin: tuple[int, int]) -> list[int]:
+    """Return left, top, width and height of pixels, from an origin; -1 each without any, as the BOP toolkit."""
+    if not pixels.any():
+        return [-1, -1, -1, -1]
+    rows, columns = np.flatnonzero(pixels.any(axis=1)), np.flatnonzero(pixels.any(axis=0))
+    left, top = int(columns[0]), int(rows[0])
+    return [left - origin[0], top - origin[1], int(columns[-1]) + 1 - left, int(rows[-1]) + 1 - top]
 
 
 def naming_of(scene: Scene) -> BopFileNames:

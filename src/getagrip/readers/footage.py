@@ -41,7 +41,7 @@ MAX_FOOTAGE_SIDE_PX = 8192
 MAX_FOOTAGE_FRAMES = 2_000_000
 """Maximum number of frames: eleven hours at 50 frames per second."""
 FOOTAGE_JPEG_QUALITY = 88
-JPEG_CACHE_BYTES, IMAGE_CACHE_BYTES = 64 * 2**20, 128 * 2**20
+JPEG_CACHE_BYTES, IMAGE_CACHE_BYTES = 64 * 2**20, 64 * 2**20
 """Cache sizes of one video, for JPEG images and for whole images."""
 
 

@@ -16,9 +16,9 @@ from numpy import ndarray
 from getagrip.errors import UsageError
 from getagrip.studio.masks import propagate_clip
 from getagrip.studio.masks.graph_cut import ColourHistogram, colour_bins, remove_object_colours
-from getagrip.studio.masks.optical_flow import SmallFrame, SmallFrames
 from getagrip.studio.masks.propagate_clip import _mark_lost, keyframe_spans, merge_masks, propagate_labels
 from getagrip.studio.masks.propagate_frame import TrackedMask, place_in_window, signed_distance
+from getagrip.studio.masks.small_frames import SmallFrame, SmallFrames
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
 
 SIZE = (240, 180)

@@ -28,9 +28,10 @@ from getagrip.studio.masks.graph_cut import (
     colour_bins,
     colour_log_ratio,
 )
-from getagrip.studio.masks.optical_flow import SmallFrames, hand_displacement
+from getagrip.studio.masks.optical_flow import hand_displacement
 from getagrip.studio.masks.propagate_clip import refine_full_resolution
 from getagrip.studio.masks.propagate_frame import BackgroundModel, Images
+from getagrip.studio.masks.small_frames import SmallFrames
 
 SIZE, STEP = (160, 120), (9.0, 4.0)
 BOX = (30.0, 25.0, 40.0, 30.0)

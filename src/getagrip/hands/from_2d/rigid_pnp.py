@@ -233,9 +233,11 @@ class OcclusionDistances(NamedTuple):
         """Measure distances from the ``possible`` pixels, in images scaled by ``zoom``."""
         import cv2
 
-        off = [cv2.distanceTransform((~each).astype(np.uint8), cv2.DIST_L2, 5) / zoom for each in possible]
-        known = np.asarray(possible.any(axis=(1, 2)))
-        return OcclusionDistances(np.where(known[:, None, None], np.array(off).reshape(possible.shape), 0.0), zoom)
+        distance = np.zeros(possible.shape, np.float32)  # filled in place: hundreds of frames are tens of megabytes
+        for out, each in zip(distance, possible, strict=True):
+            if each.any():
+                out[:] = cv2.distanceTransform((~each).astype(np.uint8), cv2.DIST_L2, 5) / zoom
+        return OcclusionDistances(distance, zoom)
 
     def take(self, rows: ndarray) -> OcclusionDistances:
         """Return the distances of some frames."""

@@ -28,7 +28,6 @@ from getagrip.studio.masks.graph_cut import (
     edge_cost,
     minimal_cut,
 )
-from getagrip.studio.masks.optical_flow import SmallFrame, SmallFrames
 from getagrip.studio.masks.propagate_frame import (
     BORDER_SIGMA_PX,
     MAX_COLOUR_LOG_RATIO,
@@ -45,6 +44,7 @@ from getagrip.studio.masks.propagate_frame import (
     signed_distance,
     track_mask,
 )
+from getagrip.studio.masks.small_frames import ArrayFile, SmallFrame, SmallFrames
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
 
 OBJECT_WORKING_SIZE_PX = 200.0
@@ -144,7 +144,7 @@ def _propagate_span(
     colours = keyframe_histograms(frames, keys)
     streams = [track_mask(frames, key, keys[key], to, colours, hand) for key, to in ((before, last), (after, first))]
     there = _mark_lost(streams[0], keys[before], frames) if before < first else None
-    back = list(_mark_lost(streams[1], keys[after], frames))[::-1] if after > last else None
+    back = _reversed_by_disk(_mark_lost(streams[1], keys[after], frames), frames.disk) if after > last else None
     if there is None or back is None:
         made = ((each, each.trust) for each in there or back or ())
     else:
@@ -157,6 +157,18 @@ def _propagate_span(
         if not apart:
             labels = np.where(_detached_parts(labels), np.uint8(0), labels)
         yield PropagatedLabels(each.frame, labels, confidence)
+
+
+def _reversed_by_disk(some: Iterable[TrackedMask], disk: ArrayFile) -> Iterator[TrackedMask]:
+    """Make all masks, and return them in reverse order; until then they wait on ``disk``."""
+    stored = [(each.frame, each.corner, each.trust, disk.put(each.inside, each.known, each.unlike)) for each in some]
+
+    def read() -> Iterator[TrackedMask]:
+        for frame, corner, trust, arrays in reversed(stored):
+            inside, known, unlike = disk.get(arrays)
+            yield TrackedMask(frame, corner, inside, known, trust, unlike)
+
+    return read()
 
 
 def _mark_lost(

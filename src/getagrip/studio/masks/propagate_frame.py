@@ -34,7 +34,6 @@ from getagrip.studio.masks.optical_flow import (
     ZERO_STEP,
     Origins,
     Part,
-    SmallFrames,
     Step,
     fit_object_motion,
     hand_displacement,
@@ -43,6 +42,7 @@ from getagrip.studio.masks.optical_flow import (
     squared_flow_error,
     warp_values,
 )
+from getagrip.studio.masks.small_frames import SmallFrames
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
 
 GROUND_NOISE_SIGMA = 9.0
