@@ -116,11 +116,18 @@ def test_a_candidate_becomes_the_result_and_back(tmp_path: Path) -> None:
     folder = stored(
         tmp_path,
         replace(
-            RESULT, findings=(input_finding, finding("mask-fit")), probability_right=sure, probability_looks_right=sure
+            RESULT,
+            findings=(input_finding, finding("mask-fit"), finding("depth-misfit"), finding("texture-contradicts")),
+            probability_right=sure,
+            probability_looks_right=sure,
+            distance_interval_mm=(400.0, 500.0),
         ),
     )
     taken = take_candidate(folder, 1)
     read = read_result(folder)[0]
+    assert read.distance_interval_mm is None, "it is that of the other pose"
+    assert {one.check for one in read.findings}.isdisjoint({"depth-misfit", "texture-contradicts"})
+    assert read.energy == {"total": RESULT.candidates.energy[1]}
     assert np.allclose(read.T_hand_obj, RESULT.candidates.T_hand_obj[1])
     assert np.allclose(read.candidates.T_hand_obj, RESULT.candidates.T_hand_obj[::-1])
     assert np.nanmean(read.iou) < 0.9  # it is off by

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.checks import RESULT_CHECKS, Evidence, run_checks
+from getagrip.checks import RESULT_CHECKS, Evidence, result_checks, run_checks
 from getagrip.clip import find_masks
 from getagrip.clip.masks import occluded_by_hand
 from getagrip.errors import InputError, UsageError
@@ -178,8 +178,9 @@ def take_candidate(folder: Path, rank: int) -> Reconstruction:
     view = View.of(result, clip, find_masks(clip))
     taken, order = candidate_view(view, rank).result, [*range(len(result.candidates.scale))]
     order[0], order[rank] = rank, 0
-    iou, findings = taken.iou, [one for one in result.findings if one.check not in RESULT_CHECKS]
-    checks = {name: value for name, value in result.checks.items() if name not in RESULT_CHECKS}
+    of_poses = {check.name for check in result_checks()}
+    iou, findings = taken.iou, [one for one in result.findings if one.check not in of_poses]
+    checks = {name: value for name, value in result.checks.items() if name not in of_poses}
     if view.masks is not None:
         masks = view.masks if view.masks.say_what_hides else occluded_by_hand(view.clip, view.masks)
         poses = view.clip.hand.T_cam_hand @ taken.T_hand_obj
@@ -188,7 +189,8 @@ def take_candidate(folder: Path, rank: int) -> Reconstruction:
         measured, after = run_checks(RESULT_CHECKS.working().values(), grasp)
         findings, checks = [*findings, *after], checks | measured
     chosen = replace(
-        taken, iou=iou, findings=tuple(findings), checks=checks, probability_looks_right=None,
+        taken, iou=iou, findings=tuple(findings), checks=checks,
+        energy={"total": float(result.candidates.energy[rank])},
         candidates=replace(
             result.candidates, T_hand_obj=result.candidates.T_hand_obj[order], scale=result.candidates.scale[order],
             energy=result.candidates.energy[order],

@@ -135,14 +135,21 @@ class View:
 
 
 def candidate_view(view: View, rank: int) -> View:
-    """Return the view of candidate ``rank``, with the axis fitted to its poses and without IOU; 0 is the result."""
+    """Return the view of candidate ``rank``; 0 is the result.
+
+    Its axis is fitted to its poses. IOU, findings, probabilities and distance's interval are the result's only.
+    """
     if rank == 0:
         return view
     found = view.result
     T_hand_obj, scale = found.candidates.T_hand_obj[rank], float(found.candidates.scale[rank])
     axis = None if found.axis is None else fit_hinge_axis(T_hand_obj, scale * view.clip.mesh.vertices)
     other = replace(found, T_hand_obj=T_hand_obj, scale=scale, iou=np.full(len(found.frames), np.nan), axis=axis)
-    return replace(view, result=replace(other, findings=(), probability_right=None, probability_right_in_camera=None))
+    unknown = replace(
+        other, findings=(), probability_right=None, probability_right_in_camera=None, probability_looks_right=None,
+        distance_interval_mm=None,
+    )  # fmt: skip
+    return replace(view, result=unknown)
 
 
 def candidate_views(view: View) -> list[View]:
