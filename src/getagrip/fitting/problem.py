@@ -189,7 +189,7 @@ class Trust:
 
 @dataclass(frozen=True)
 class ObservedView:
-    """What a further view shows of a problem.
+    """A further view of a problem's frames.
 
     Attributes:
         view: the view, at the problem's frames.
@@ -223,7 +223,7 @@ class ObservedView:
 def observe_views(
     clip: Clip, options: Options, gap_share: float, refinement: HandRefinement | None = None
 ) -> tuple[ObservedView, ...]:
-    """Observe the further views of a clip at a problem's frames, where they show the object."""
+    """Crop the masks of the further views of a clip at a problem's frames, where they show the object."""
     found = []
     for view in () if options.as_published else views_of(clip):
         rows = np.flatnonzero(view.masks.observed)
