@@ -18,6 +18,7 @@ from getagrip.checks.timeline_checks import GRASP_CHECKS
 from getagrip.clip import Clip, Masks, check_clip, check_masks, read_masks, with_masks
 from getagrip.compiling import COMPILATION_MESSAGE, compile_once
 from getagrip.errors import GetagripError, InputError, UsageError, check_arguments
+from getagrip.fitting.energy.in_view import VIEW_SEPARATOR
 from getagrip.fitting.hand.joint_hand_object import restore_object_size, with_hand_size
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.methods.all_frames import refit_hinge
@@ -38,6 +39,7 @@ from getagrip.fitting.stages.loose_ends import without_loose_ends
 from getagrip.fitting.stages.remaining_frames import SolutionTrack, at_sampled_frames, extend_to_every_frame
 from getagrip.fitting.stages.robust_masks import fit_without_outliers, image_iou
 from getagrip.fitting.stages.texture import prefer_texture
+from getagrip.fitting.stages.view_agreement import is_in_the_way, suspect_view
 from getagrip.geometry import se3
 from getagrip.io.terminal import Progressed, progress_callback
 from getagrip.result import Reconstruction, Status
@@ -164,19 +166,37 @@ class StableGrasp:
     answer: FrameSolutions
 
     def __init__(self, source: RepairedInput) -> None:
-        """Choose frames, correct the hand, crop the masks; check the input."""
         self.source = source
-        self.problem = prepare_problem(source.clip, source.options, source.threads)
+        self.prepare()
+
+    def prepare(self, views_left_out: tuple[str, ...] = ()) -> None:
+        """Choose frames, correct the hand, crop the masks; check the input."""
+        source = self.source
+        self.problem = prepare_problem(source.clip, source.options, source.threads, views_left_out)
         index = source.clip.index_of(self.problem.clip.frames)
         self.clip = replace(self.problem.clip, hand=source.clip.hand.take(index))
         evidence = Evidence(self.clip, self.problem.input_masks, glitches=source.glitches)
         self.checks, self.findings = run_checks(input_checks(), evidence)
 
     def search(self, clock: Clock) -> None:
-        """Run the method in the frames without outlier masks.
+        """Run the method in the frames without outlier masks, and without further views that are in the way.
 
         Where it fails, the error also says what was unusual about its inputs.
         """
+        self.fit(clock)
+        while (view := suspect_view(self.problem, self.found)) is not None:
+            joint = self.problem, self.found, self.clip, self.checks, self.findings
+            self.prepare((*self.problem.trust.views_left_out, view))
+            self.fit(clock)
+            if not is_in_the_way(view, joint[1], self.found):
+                self.problem, self.found, self.clip, self.checks, self.findings = joint
+                break
+        self.found = prefer_texture(self.problem, self.found)
+        self.sampled = at_sampled_frames(self.problem, self.found)
+        clock("finish")
+
+    def fit(self, clock: Clock) -> None:
+        """Run the method on all views that are not left out."""
         method, problem = METHODS[self.problem.options.method], self.problem
         try:
             if method.checks_masks and problem.options.masks == "checked":
@@ -192,9 +212,6 @@ class StableGrasp:
             raise
         except GetagripError as error:
             raise GetagripError("; ".join(map(str, (error, *self.findings)))) from error
-        self.found = prefer_texture(self.problem, self.found)
-        self.sampled = at_sampled_frames(self.problem, self.found)
-        clock("finish")
 
     def fit_all_frames(self, clock: Clock) -> FrameSolutions:
         """Extend the solutions to all frames that the options ask for."""
@@ -224,7 +241,8 @@ class StableGrasp:
         solved = solved_of(source.clip, problem, found, self.sampled, self.answer.track)
         checks, after = run_checks(result_checks(), solved)
         findings, signs = (*self.findings, *after), compute_features(solved)
-        terms = {*found.terms} if found.hand is None else {*found.terms, *found.hand.energy}
+        names = found.terms if found.hand is None else {*found.terms, *found.hand.energy}
+        terms = {name.partition(VIEW_SEPARATOR)[0] for name in names}
         right = probabilities(source.clip, source.options, signs, findings, terms)
         return Judgement(self.checks | checks, findings, signs, right, hand_alternatives(problem, found))
 

@@ -96,6 +96,7 @@ class Evidence:
             about the object's handle; NaN of an object without one.
         glitches: frames of tracker glitches, repaired in ``clip``; None where hands are used as given.
         texture: the vote of the mesh's texture.
+        views_left_out: names of further views that contradict the clip, and were left out.
     """
 
     clip: Clip
@@ -115,6 +116,7 @@ class Evidence:
     handle_decided: float = np.nan
     glitches: Glitches | None = None
     texture: TextureVote = TextureVote()
+    views_left_out: tuple[str, ...] = ()
 
     @property
     def shape_assumed(self) -> bool:

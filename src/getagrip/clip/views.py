@@ -8,7 +8,7 @@ first one; poses of the other cameras are in its frame.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -139,6 +139,11 @@ def with_views(clip: Clip, views: Sequence[View]) -> Clip:
     return replace(clip, evidence={**clip.evidence, VIEWS_KEY: Views(tuple(views)) if views else None})
 
 
+def without_views(clip: Clip, names: Collection[str]) -> Clip:
+    """Return the clip without some of its further views that are in memory."""
+    return with_views(clip, [view for view in views_of(clip) if view.name not in names]) if names else clip
+
+
 def clip_in_view(clip: Clip, view: View) -> Clip:
     """Return a clip as a further camera sees it: hands, truth and camera in that camera's frame, and its evidence."""
     T, other, truth = view.T_view_cam, clip.other_hand, clip.truth
@@ -211,10 +216,7 @@ def read_view(clip: Clip, folder: Path) -> View:
     check_camera_poses(path, T, frames, "camera.T_cam_view")
     place = {name: n for n, name in enumerate(frames)}
     known = np.array([name in place for name in clip.frames])
-    if not known.any():
-        expected = f"frames of the clip, {clip.frames[0]} to {clip.frames[-1]}"
-        raise InputError(path, "frames", f"frames from {files.shorten_value(frames[0])}", expected)
-    rows = _nearest_known(np.array([place.get(name, -1) for name in clip.frames]), known)
+    rows = _nearest_known(np.array([place.get(name, 0) for name in clip.frames]), known)
     view = View(
         name=folder.name, size=size, K=K[rows], T_cam_view=T[rows], masks=_unknown_masks(len(clip), size),
         time_offset=float(offset), folder=folder,
@@ -236,8 +238,10 @@ def read_view(clip: Clip, folder: Path) -> View:
 
 
 def _nearest_known(rows: Int[ndarray, "T"], known: Bool[ndarray, "T"]) -> Int[ndarray, "T"]:
-    """Return the row of each frame, or of the nearest frame that has one."""
+    """Return the row of each frame, or of the nearest frame that has one; the first row if none has one."""
     at = np.flatnonzero(known)
+    if not len(at):
+        return np.zeros_like(rows)
     nearest = at[np.abs(np.arange(len(rows))[:, None] - at).argmin(axis=1)]
     return rows[nearest]
 

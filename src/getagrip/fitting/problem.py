@@ -24,10 +24,11 @@ from getagrip.clip import (
     with_masks,
 )
 from getagrip.clip.masks import occluded_by_hand
-from getagrip.clip.views import View, clip_in_view, views_of
+from getagrip.clip.views import View, clip_in_view, views_of, without_views
 from getagrip.fitting.energy import Energy, Terms
 from getagrip.fitting.energy.contact import CONTACT_GRID_MARGIN_M, HandContacts, build_contact_grid, rms_distances
 from getagrip.fitting.energy.mask import GAP_SHARE, Observation, SilhouetteMesh, masks_leave_gaps, observe_masks
+from getagrip.fitting.evidence.epipolar import contradicting_views
 from getagrip.fitting.hand.hand_error_model import SolvedHand, interpolate_solved_hand
 from getagrip.fitting.hand.refine_hand import HandRefinement, refine_hand
 from getagrip.fitting.motion import Motion, PosesInHand
@@ -160,6 +161,7 @@ class Trust:
         mesh_fitted: whether the mesh was warped to the masks.
         outliers: names of frames with outlier masks, which are left out (``stages.robust_masks``).
         outlier_threshold: maximum number of pixels in which a mask may differ from the predicted silhouette.
+        views_left_out: names of further views that contradict the clip (``stages.view_agreement``).
     """
 
     hand_refined: bool = False
@@ -170,6 +172,7 @@ class Trust:
     mesh_fitted: bool = False
     outliers: tuple[str, ...] = ()
     outlier_threshold: float = np.inf
+    views_left_out: tuple[str, ...] = ()
 
     @property
     def contact(self) -> float:
@@ -305,7 +308,7 @@ class Problem:
         Whether the masks leave gaps stays as in this problem. In frames beyond this problem's the hand's refinement is
         unknown.
         """
-        clip = with_evidence(clip)
+        clip = without_views(with_evidence(clip), self.trust.views_left_out)
         masks = read_masks(clip)
         if self.trust.hand_drawn and not masks.say_what_hides:
             masks = occluded_by_hand(clip, masks)
@@ -379,22 +382,26 @@ class MethodResult:
     texture: TextureVote = field(default_factory=TextureVote)
 
 
-def prepare_problem(clip: Clip, options: Options, threads: int = 1) -> Problem:
+def prepare_problem(clip: Clip, options: Options, threads: int = 1, views_left_out: tuple[str, ...] = ()) -> Problem:
     """Leave out frames without an object, sample the rest linearly, crop the masks, refine the hand.
 
     Masks that the clip does not have in memory are read from its folder, in the sampled frames. A free scale multiplies
-    the initial poses by ``FREE_SCALE_START_FACTOR``. Raises ``InputError`` for fewer than 2 frames, and for initial
-    poses as ``read_initial_poses`` does.
+    the initial poses by ``FREE_SCALE_START_FACTOR``. Further views that contradict the clip are left out besides
+    ``views_left_out``. Raises ``InputError`` for fewer than 2 frames, and for initial poses as ``read_initial_poses``
+    does.
     """
     if clip.scale == "free" and not options.as_published:
         options = replace(options, inits=FREE_SCALE_START_FACTOR * options.inits)
     initial = initial_poses.read_initial_poses(clip, options)
     clip = sample_clip_frames(clip, options.frames)
+    wrong = (*views_left_out, *contradicting_views(without_views(clip, views_left_out), read_masks(clip)))
+    clip = without_views(clip, wrong)
     with ThreadPoolExecutor(1) as pool:
         surface = pool.submit(ObjectSurface.of, clip.mesh)  # depends on no hands and masks
         if threads == 1:
             wait([surface])
-        return _prepare_sampled(clip, options, surface, threads, initial)
+        problem = _prepare_sampled(clip, options, surface, threads, initial)
+    return replace(problem, trust=replace(problem.trust, views_left_out=wrong)) if wrong else problem
 
 
 def _prepare_sampled(

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from getagrip.checks.check import Check
+from getagrip.checks.evidence import Evidence
 from getagrip.clip import Clip, Modality
-from getagrip.clip.views import VIEWS_KEY, Views, read_views, view_files, write_view
+from getagrip.clip.views import VIEWS_KEY, Views, read_views, view_files, views_of, write_view
 from getagrip.fitting.energy import Energy, Terms
 
 if TYPE_CHECKING:  # files of clips are asked for by commands that fit nothing
@@ -15,10 +17,36 @@ if TYPE_CHECKING:  # files of clips are asked for by commands that fit nothing
     from getagrip.fitting.problem import Problem
 
 
+def describe_views_left_out(it: Evidence) -> str:
+    """Name the further views that were left out."""
+    names = ", ".join(it.views_left_out)
+    if len(it.views_left_out) == 1:
+        return f"the view {names} contradicts the clip and was left out"
+    return f"the views {names} contradict the clip or each other and were left out"
+
+
+def unseen_views(it: Evidence) -> list[str]:
+    """Name the further views without a mask that shows the object."""
+    return [view.name for view in views_of(it.clip) if not view.masks.observed.any()]
+
+
 class FurtherViews(Modality[Views]):
     """Masks, depth and joints of other cameras."""
 
     name = VIEWS_KEY
+    result_checks = (
+        Check(
+            "view-contradicts", lambda it: float(len(it.views_left_out)), high=0.0, serious=False,
+            fault=describe_views_left_out,
+            advice="compare the poses and intrinsics of the cameras, the times of their images, and whether all show "
+            "this object; with two views either may be the wrong one",
+        ),
+        Check(
+            "view-unseen", lambda it: float(len(unseen_views(it))), high=0.0, serious=False,
+            fault=lambda it: f"no mask of {', '.join(unseen_views(it))} shows the object in the clip's frames",
+            advice="add its masks (import masks --view), under the names of the clip's frames",
+        ),
+    )  # fmt: skip
 
     def files(self, folder: Path, frames: Sequence[str]) -> list[str]:
         return view_files(folder, frames)

@@ -73,9 +73,9 @@ ASSUMED_ERRORS: Mapping[HandsKind, AssumedErrors] = {
 images are measured (docs/datasets.md), but for the size, without which nothing tells the distance."""
 SIZE_SIGMA_WITH_JOINTS = 0.05
 """Standard deviation of the size of an estimated hand with 2D joints; chosen on real ones (docs/trials.md)."""
-SHIFT_SIGMA_WITH_VIEWS_M = 0.02
+SHIFT_SIGMA_WITH_VIEWS_M = 0.04
 """Standard deviation of the shift of an estimated hand that all frames share, in any direction, where further views
-show its distance [m]; estimates are off by as much along the camera's ray (docs/datasets.md)."""
+show its distance [m]: estimates are off by a few centimetres along the camera's ray. Chosen on training clips."""
 MIN_CORRECTED_FRACTION = 0.01
 """Minimum fraction of the hand's visible pixels that a refinement must correct; less is noise of masks."""
 MIN_JOINT_CORRECTION = 0.01, 0.002
@@ -92,8 +92,9 @@ MAX_MEASURED_TURN_RAD, MAX_REMAINING_FRACTION = np.radians(4.5), 0.5
 differing pixels remain [fraction]. On training clips hands of 10 mm and 8 degrees are turned by 4.9 or more,
 ``moderate`` ones by up to 4.3, and ``strong`` ones leave 36 % at most. Masks that are off by 4 px turn exact hands by
 up to 6.2 degrees, but then leave 80 %."""
-REFINEMENT_ITERATIONS = 10, 8, 3
-"""Iterations: without bends; with them, at some of the frames; at all of them."""
+REFINEMENT_ITERATIONS, RIGID_ITERATIONS_WITH_VIEWS = (10, 8, 3), 30
+"""Iterations: without bends; with them, at some of the frames; at all of them. Without bends more with further views,
+which bring hands from farther."""
 N_FLEXION_FRAMES = 10
 """Number of frames of the second stage."""
 
@@ -439,6 +440,7 @@ class _FittedHandErrors:
         """Minimise the cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
         assumed = assumed_errors(kind, seen.loose, len(seen.each))
         rigid, few, all_frames = REFINEMENT_ITERATIONS
+        rigid = RIGID_ITERATIONS_WITH_VIEWS if len(seen.each) > 1 else rigid
         unrefined = np.zeros((len(seen.each[0].rows), N_RIGID_ERRORS))
         found = least_squares.minimise(HandFit.of(seen, assumed, unrefined), rigid).state
         bending = _AllViews(tuple(one.with_fingers(seen.loose) for one in seen.each))

@@ -106,7 +106,7 @@ def solved_of(
         scale_check=scale_check(problem, found), joint_error=joints.size if joints else float("nan"),
         distance_spread=_distance_spread(input_clip, problem, found),
         turned_away=opening_angle(problem.clip, sampled.T_hand_obj[0]), texture=found.texture,
-        handle_decided=handle_decided(problem, found),
+        handle_decided=handle_decided(problem, found), views_left_out=problem.trust.views_left_out,
     )  # fmt: skip
 
 
