@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from getagrip.bench.inputs.added_views import MAX_ADDED_VIEWS, AddedViews
 from getagrip.bench.inputs.hand_sources import HandSource, WithHands
 from getagrip.bench.inputs.perturbations import (
     UNCHANGED,
@@ -413,6 +414,25 @@ def by_contact(variants: Sequence[Variant], contacts: Sequence[ContactDefinition
         for variant in variants
         for contact in contacts
     ]
+
+
+VIEW_INPUTS = (INPUT_ERROR_SETTINGS[0], _estimated_hands_setting("estimated"), DEGRADED_INPUT_SETTINGS[0])
+"""Errors of the input with which numbers of views are compared."""
+
+
+def view_ablation(counts: Sequence[int]) -> Ablation:
+    """Make an ablation with a setting for each number of views and each of ``VIEW_INPUTS``; the first is the baseline.
+
+    Raises ``UsageError`` for numbers that are not from 1 to ``MAX_ADDED_VIEWS``, each once.
+    """
+    if len({*counts}) < len(counts) or not all(1 <= count <= MAX_ADDED_VIEWS for count in counts):
+        raise UsageError(f"--views must be different numbers from 1 to {MAX_ADDED_VIEWS} (got {[*counts]})")
+    settings = tuple(
+        Setting(f"{one.label}, {count}", change=one.change if count == 1 else AddedViews(count, one.change))
+        for one in VIEW_INPUTS
+        for count in counts
+    )
+    return Ablation("Number of views, rendered from the ground truth", settings[0].label, settings, ("soft-hinge",))
 
 
 def hand_source_ablation(sources: Sequence[HandSource]) -> Ablation:

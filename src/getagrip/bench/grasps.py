@@ -27,6 +27,7 @@ from getagrip.bench.ablations import (
     by_contact,
     hand_source_ablation,
     method_variants,
+    view_ablation,
 )
 from getagrip.bench.comparison import GraspClipScores, GraspVariantScore, compare_variants, independent_groups
 from getagrip.bench.inputs.hand_sources import HandSource
@@ -277,10 +278,12 @@ class GraspBenchmark(Benchmark[GraspClipScores]):
         ablation = self.compared.ablation
         if ablation is not None and ablation not in ABLATIONS:
             raise unknown_choice_error("--ablation", ablation, ABLATIONS)
-        if ablation is not None and self.compared.hands:
-            raise UsageError("--ablation cannot be used with --hands")
-        if self.compared.others and (ablation is not None or self.compared.hands):
-            raise UsageError("--with cannot be used with --ablation or --hands")
+        settings = {"--ablation": ablation, "--hands": self.compared.hands, "--views": self.compared.views}
+        given = [option for option, value in settings.items() if value]
+        if len(given) > 1:
+            raise UsageError(f"{given[0]} cannot be used with {' or '.join(given[1:])}")
+        if self.compared.others and given:
+            raise UsageError(f"--with cannot be used with {given[0]}")
         if self.compared.replay:
             plugins.import_extra("mujoco", "mujoco", "--replay")
         if self.compared.refine and not self.compared.others:
@@ -299,6 +302,8 @@ class GraspBenchmark(Benchmark[GraspClipScores]):
         """Settings to compare; None: methods alone are compared."""
         if self.compared.hands:
             return hand_source_ablation([HandSource.of(text) for text in self.compared.hands])
+        if self.compared.views:
+            return view_ablation(self.compared.views)
         if self.compared.ablation is not None:
             return ABLATIONS[self.compared.ablation]
         return self.source.compared
@@ -307,7 +312,8 @@ class GraspBenchmark(Benchmark[GraspClipScores]):
     def name(self) -> str:
         """Name of the files of the tables."""
         own = "methods" if self.source.compared is None else self.source.dataset
-        return "hands" if self.compared.hands else self.compared.ablation or own
+        given = "hands" if self.compared.hands else "views" if self.compared.views else self.compared.ablation
+        return given or own
 
     @cached_property
     def variants(self) -> list[Variant]:

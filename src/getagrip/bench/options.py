@@ -40,6 +40,9 @@ class ComparisonOptions:
     hands: Annotated[tuple[str, ...], arg(metavar="NAME=DIR...", help_behavior_hint="")] = ()
     """Compare hands of several estimators for the same clips, on the frames that all have: DIR holds clips of the same
     names, or a hand file <clip>.npz for each (import hands --out)."""
+    views: Annotated[tuple[int, ...], arg(metavar="N...", help_behavior_hint="(default: as the clips are)")] = ()
+    """Compare numbers of views, 1 to 8: of further cameras around the grasp, rendered from the ground truth, with exact
+    and estimated hands, and with masks that are off by 4 px."""
     others: Annotated[tuple[str, ...], arg(name="with", metavar="NAME=DIR...", help_behavior_hint="")] = ()
     """Add rows with other systems' results: DIR holds the poses of each clip under its name, as for evaluate --poses,
     or result folders."""

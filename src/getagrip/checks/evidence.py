@@ -97,6 +97,7 @@ class Evidence:
         glitches: frames of tracker glitches, repaired in ``clip``; None where hands are used as given.
         texture: the vote of the mesh's texture.
         views_left_out: names of further views that contradict the clip, and were left out.
+        view_outliers: outlier masks of further views in the fitted frames, each by the names of view and frame.
     """
 
     clip: Clip
@@ -117,6 +118,7 @@ class Evidence:
     glitches: Glitches | None = None
     texture: TextureVote = TextureVote()
     views_left_out: tuple[str, ...] = ()
+    view_outliers: tuple[tuple[str, str], ...] = ()
 
     @property
     def shape_assumed(self) -> bool:

@@ -165,14 +165,12 @@ def clip_in_view(clip: Clip, view: View) -> Clip:
 
 
 def view_folders(folder: Path) -> list[Path]:
-    """List the folders of views in a clip's folder, by name. Raises ``InputError`` for links, and for too many."""
-    if not os.path.lexists(folder / VIEWS_KEY):
-        return []
-    top = files.inside(folder, VIEWS_KEY, "", "a folder of views")
-    found = sorted(path for path in top.iterdir() if not path.name.startswith("."))
+    """List the folders of views in a clip's folder, by name. Raises ``InputError`` for too many."""
+    top = folder / VIEWS_KEY
+    found = files.folders_in(top) if top.is_dir() else []
     if len(found) > MAX_VIEWS:
         raise InputError(top, "", f"{len(found)} views", f"at most {MAX_VIEWS}")
-    return [files.inside(folder, f"{VIEWS_KEY}/{path.name}", "", "the folder of a view") for path in found]
+    return found
 
 
 def view_files(folder: Path, frames: Sequence[str]) -> list[str]:
@@ -196,7 +194,7 @@ def read_views(clip: Clip) -> Views | None:
 
 def read_view(clip: Clip, folder: Path) -> View:
     """Read and check one view of a clip from its folder, at the clip's frames. Raises ``InputError``."""
-    path = files.inside(folder, VIEW_FILE, "", "the description of a view")
+    path = files.inside(folder.parents[1], f"{VIEWS_KEY}/{folder.name}/{VIEW_FILE}", "", "the description of a view")
     fields = files.read_json(path)
     unknown = next((key for key in fields if key not in VIEW_KEYS), None)
     if unknown is not None:

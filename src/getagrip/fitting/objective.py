@@ -19,6 +19,7 @@ from getagrip.fitting.energy.contact import HandContacts, PullTerm, PushTerm, fa
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.fitting.energy.hand_terms import HandMaskTerm, SeenJointsTerm
 from getagrip.fitting.energy.handle_grip import HandleTerm, finger_middles
+from getagrip.fitting.energy.in_view import ViewedEnergy
 from getagrip.fitting.energy.mask import MaskTerm
 from getagrip.fitting.energy.occlusion_order import HandOrder, OrderTerm, corners_of
 from getagrip.fitting.hand.hand_silhouette import HandSilhouette, hand_crops
@@ -105,6 +106,15 @@ def mask_energy(problem: Problem) -> Energy:
         return [MaskTerm(mesh[level], observation.take(index), level, step, delta, coverage)]
 
     return terms
+
+
+def all_masks_energy(problem: Problem) -> Energy:
+    """Return E_mask of the clip's own view, and of all further ones."""
+    views = (
+        ViewedEnergy(mask_energy(problem.in_view(view)), view.name, view.rows, view.T_view_cam)
+        for view in problem.views
+    )
+    return sum_energies(mask_energy(problem), *views)
 
 
 def contact_energy(problem: Problem, push: float, pull: float) -> Energy:

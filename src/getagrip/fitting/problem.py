@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -162,6 +162,8 @@ class Trust:
         outliers: names of frames with outlier masks, which are left out (``stages.robust_masks``).
         outlier_threshold: maximum number of pixels in which a mask may differ from the predicted silhouette.
         views_left_out: names of further views that contradict the clip (``stages.view_agreement``).
+        view_outliers: outlier masks of further views, each by the names of view and frame.
+        view_thresholds: maximum number of pixels in which a mask of each view may differ.
     """
 
     hand_refined: bool = False
@@ -173,6 +175,8 @@ class Trust:
     outliers: tuple[str, ...] = ()
     outlier_threshold: float = np.inf
     views_left_out: tuple[str, ...] = ()
+    view_outliers: frozenset[tuple[str, str]] = frozenset()
+    view_thresholds: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def contact(self) -> float:
@@ -224,12 +228,20 @@ class ObservedView:
 
 
 def observe_views(
-    clip: Clip, options: Options, gap_share: float, refinement: HandRefinement | None = None
+    clip: Clip,
+    options: Options,
+    gap_share: float,
+    refinement: HandRefinement | None = None,
+    outliers: frozenset[tuple[str, str]] = frozenset(),
 ) -> tuple[ObservedView, ...]:
-    """Crop the masks of the further views of a clip at a problem's frames, where they show the object."""
+    """Crop the masks of the further views of a clip at a problem's frames, where they show the object.
+
+    ``outliers`` are left out, each by the names of view and frame.
+    """
     found = []
     for view in () if options.as_published else views_of(clip):
-        rows = np.flatnonzero(view.masks.observed)
+        inlier = [(view.name, frame) not in outliers for frame in clip.frames]
+        rows = np.flatnonzero(view.masks.observed & inlier)
         if not len(rows):
             continue
         seen, masks = clip_in_view(clip.take(rows), view.take(rows)), view.masks.take(rows)
@@ -317,7 +329,7 @@ class Problem:
         refinement = None
         if self.refinement is not None and {*clip.frames} <= {*self.clip.frames}:
             refinement = self.refinement.take(self.clip.index_of(clip.frames))
-        views = observe_views(clip, self.options, gap_share, refinement)
+        views = observe_views(clip, self.options, gap_share, refinement, self.trust.view_outliers)
         return replace(self, clip=clip, masks=masks, observation=observation, refinement=refinement, views=views)
 
     def with_hand_found(self, clip: Clip) -> Clip:

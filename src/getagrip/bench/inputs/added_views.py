@@ -18,6 +18,7 @@ from getagrip.geometry.rasterize import true_masks
 
 VIEW_ANGLES_DEG = ((75.0, 0.0), (-75.0, 10.0), (150.0, 0.0), (-150.0, 10.0), (35.0, 15.0), (-35.0, 15.0), (110.0, 5.0))
 """Angles of the further cameras from the first one, about its vertical axis through the object, and upwards."""
+MAX_ADDED_VIEWS = 1 + len(VIEW_ANGLES_DEG)
 
 
 @dataclass(frozen=True)

@@ -54,11 +54,7 @@ class InView:
         seen = self.term(poses_in_view(poses, self.at, self.T), bound)  # type: ignore[arg-type]
         B, N = poses.centre.shape[:2]
         size = seen.g.shape[-1]
-        J = np.zeros((len(self.at), size, size))
-        for first in range(0, size, 7):
-            J[:, first : first + 3, first : first + 3] = self.T[:, :3, :3]
-            J[:, first + 3 : first + 6, first + 3 : first + 6] = self.T[:, :3, :3]
-            J[:, first + 6, first + 6] = 1.0
+        J = jacobian_in_view(self.T, size, size // 7)
         Jt = np.swapaxes(J, 1, 2)
         out = Quadratic(np.zeros((B, N)), np.zeros((B, N, size)), np.zeros((B, N, size, size)))
         out.value[:, self.at] = seen.value
@@ -69,6 +65,14 @@ class InView:
         turned = np.einsum("npi,bnpmq,mqj->bnimj", J, between, J)
         cross[:, self.at[:, None], :, self.at] = np.moveaxis(turned, (1, 3), (0, 1))
         return replace(out, cross=cross)
+
+
+def jacobian_in_view(T: Float[ndarray, "n 4 4"], size: int, bodies: int = 1) -> Float[ndarray, "n size size"]:
+    """Differentiate local vectors of bodies in a view by those in the first camera; further numbers stay the same."""
+    J = np.tile(np.eye(size), (len(T), 1, 1))
+    for first in np.add.outer(7 * np.arange(bodies), [0, 3]).ravel():
+        J[:, first : first + 3, first : first + 3] = T[:, :3, :3]
+    return J
 
 
 def poses_in_view(poses: P, at: Int[ndarray, "n"], T: Float[ndarray, "n 4 4"]) -> P:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from getagrip.checks.check import Check
-from getagrip.checks.evidence import Evidence
+from getagrip.checks.evidence import MAX_NAMED_FRAMES, Evidence
 from getagrip.clip import Clip, Modality
 from getagrip.clip.views import VIEWS_KEY, Views, read_views, view_files, views_of, write_view
 from getagrip.fitting.energy import Energy, Terms
@@ -25,6 +25,13 @@ def describe_views_left_out(it: Evidence) -> str:
     return f"the views {names} contradict the clip or each other and were left out"
 
 
+def describe_view_outliers(it: Evidence) -> str:
+    """List the outlier masks of further views."""
+    masks = ", ".join(f"{view} {frame}" for view, frame in it.view_outliers[:MAX_NAMED_FRAMES])
+    more = len(it.view_outliers) - MAX_NAMED_FRAMES
+    return f"masks of further views contradict the others and were left out: {masks}" + f" and {more} more" * (more > 0)
+
+
 def unseen_views(it: Evidence) -> list[str]:
     """Name the further views without a mask that shows the object."""
     return [view.name for view in views_of(it.clip) if not view.masks.observed.any()]
@@ -40,6 +47,10 @@ class FurtherViews(Modality[Views]):
             fault=describe_views_left_out,
             advice="compare the poses and intrinsics of the cameras, the times of their images, and whether all show "
             "this object; with two views either may be the wrong one",
+        ),
+        Check(
+            "view-outliers", lambda it: float(len(it.view_outliers)), high=0.0, serious=False,
+            fault=describe_view_outliers, advice="look at these masks",
         ),
         Check(
             "view-unseen", lambda it: float(len(unseen_views(it))), high=0.0, serious=False,

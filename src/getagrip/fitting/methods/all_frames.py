@@ -14,17 +14,18 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.fitting.energy import Energy
+from getagrip.fitting.energy.in_view import VIEW_SEPARATOR
 from getagrip.fitting.hand.hand_error_model import SolvedHand
 from getagrip.fitting.hand.joint_hand_object import solve_with_hand
 from getagrip.fitting.methods import OnStage
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft
 from getagrip.fitting.objective import (
     NO_TERMS,
+    all_masks_energy,
     depth_order_energy,
     distance_consistency_energy,
     energy_of,
     handle_energy,
-    mask_energy,
     sum_energies,
 )
 from getagrip.fitting.problem import EnergyOf, MethodResult, Problem
@@ -138,9 +139,14 @@ def soft_hinge_of(
 def misfit_of(problem: Problem, search: Search, rough: Soft[Fixed]) -> float:
     """Measure the misfit of the best hypothesis, after a fit to the masks without contact."""
     frames = search.coarse_frames
-    terms, T_cam_hand = mask_energy(problem)(MISFIT_LEVEL_PX, frames), problem.clip.hand.T_cam_hand[frames]
+    terms, T_cam_hand = all_masks_energy(problem)(MISFIT_LEVEL_PX, frames), problem.clip.hand.T_cam_hand[frames]
     fitted = minimise(rough, terms, T_cam_hand, MISFIT_ITERATIONS, threads=problem.threads)
-    return relative_contour_error(problem.observation, float(fitted.terms["mask"].min()) / len(frames))
+    each = [relative_contour_error(problem.observation, fitted.terms["mask"] / len(frames))]
+    for view in problem.views:
+        if shown := np.count_nonzero(np.isin(frames, view.rows)):
+            mask = fitted.terms[f"mask{VIEW_SEPARATOR}{view.name}"]
+            each.append(relative_contour_error(view.observation, mask / shown))
+    return float(np.mean(each, axis=0).min())
 
 
 def fit_mesh_shape(problem: Problem, search: Search, rough: Soft[Fixed]) -> Warp | None:

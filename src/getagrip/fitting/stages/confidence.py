@@ -107,6 +107,7 @@ def solved_of(
         distance_spread=_distance_spread(input_clip, problem, found),
         turned_away=opening_angle(problem.clip, sampled.T_hand_obj[0]), texture=found.texture,
         handle_decided=handle_decided(problem, found), views_left_out=problem.trust.views_left_out,
+        view_outliers=tuple(sorted(problem.trust.view_outliers)),
     )  # fmt: skip
 
 

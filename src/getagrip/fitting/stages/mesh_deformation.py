@@ -12,16 +12,19 @@ the object's own mesh. Else deviations would bend the motion to fit contours tha
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip import least_squares
-from getagrip.fitting.energy.mask import MaskTerm, Observation, SilhouetteMesh
+from getagrip.fitting.energy import PosesInCamera
+from getagrip.fitting.energy.in_view import jacobian_in_view, poses_in_view
+from getagrip.fitting.energy.mask import Observation
 from getagrip.fitting.energy.mesh_mask import N_SHAPE_PARAMETERS, MaskByShape
 from getagrip.fitting.motion import Fixed, Soft
-from getagrip.fitting.objective import MASK_STEP_PX, MIN_CURVATURE_DISTANCE_PX
+from getagrip.fitting.objective import MASK_STEP_PX, MIN_CURVATURE_DISTANCE_PX, all_masks_energy
 from getagrip.fitting.problem import Problem
 from getagrip.fitting.solver.category_prior import unmeasured_kind
 from getagrip.fitting.solver.solve import CURVATURE_FLOOR, jacobian_in_camera, minimise, poses_in_camera
@@ -59,14 +62,18 @@ KNOWN_SIZE_STIFFNESS = 100.0
 """Factor on the prior's stiffness of the object's size, the mean of the three stretches, where the size is known."""
 
 
-def relative_contour_error(observation: Observation, mask: float) -> float:
+M = TypeVar("M", float, Float[ndarray, "B"])
+
+
+def relative_contour_error(observation: Observation, mask: M) -> M:
     """Compute the misfit: mean distance of contours from the masks', as a multiple of the object's own mesh's.
 
-    ``mask`` is the mean E_mask of a frame [px^2 of the crop]: the mean distance times the visible length.
+    ``mask`` is the mean E_mask of a frame [px^2 of the crop], of one hypothesis or of each: the mean distance times the
+    visible length.
     """
     length = float(observation.targets[..., 4].sum(axis=1).mean())
     expected = IMAGE_CONTOUR_ERROR_PX * observation.crops.zoom + CROP_CONTOUR_ERROR_PX
-    return mask / (length * expected) if length > 0.0 else 1.0
+    return mask / (length * expected) if length > 0.0 else mask * 0.0 + 1.0
 
 
 def stiffen_ridge(ridge: tuple[float, float], times: float) -> tuple[float, float]:
@@ -91,6 +98,23 @@ STRETCH_MODES = np.flatnonzero(DEFORMATION_MODES[:, [0, 4, 8]].any(axis=1))
 """The modes that stretch along x, y and z."""
 
 
+@dataclass(frozen=True)
+class _ShapeInView:
+    """E_mask of a further view by pose and shape, in the frames ``at``, by ``T_view_cam`` in these."""
+
+    term: MaskByShape
+    at: Int[ndarray, "n"]
+    T: Float[ndarray, "n 4 4"]
+
+    def __call__(
+        self, poses: PosesInCamera, shape: Float[ndarray, "B 9 3"], widths: Float[ndarray, "B k"]
+    ) -> tuple[Float[ndarray, "B n"], Float[ndarray, "B n P"], Float[ndarray, "B n P P"]]:
+        value, g, H = self.term(poses_in_view(poses, self.at, self.T), shape, widths)
+        J = jacobian_in_view(self.T, g.shape[-1])
+        Jt = np.swapaxes(J, 1, 2)
+        return value, (Jt @ g[..., None])[..., 0], Jt @ H @ J
+
+
 @dataclass
 class _ShapeState:
     """Hypotheses with a shape each (``least_squares.State``)."""
@@ -99,13 +123,18 @@ class _ShapeState:
     weights: Float[ndarray, "B M"]
     """Weights of the modes of the warp; then, of a body of revolution, the logarithms of the factors on its radii."""
     term: MaskByShape
+    views: tuple[_ShapeInView, ...]
     stiffness: Float[ndarray, "M M"]
     T_cam_hand: Float[ndarray, "N 4 4"]
 
     def __post_init__(self) -> None:
         warps, widths = np.split(self.weights, [len(DEFORMATION_MODES)], axis=1)
         shapes = (warps @ DEFORMATION_MODES).reshape(-1, 9, 3)
-        value, g, H = self.term(poses_in_camera(self.motion, self.T_cam_hand), shapes, widths)
+        poses = poses_in_camera(self.motion, self.T_cam_hand)
+        value, g, H = self.term(poses, shapes, widths)
+        for view in self.views:
+            for total, part in zip((value, g, H), view(poses, shapes, widths), strict=True):
+                total[:, view.at] += part
         by = _block_diagonal(np.eye(7), DEFORMATION_MODES, np.eye(self.term.radii))
         self.g, self.H = g @ by.T, by @ H @ by.T
         self.pull = self.weights @ self.stiffness
@@ -150,10 +179,8 @@ def fit_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], m
     """
     if misfit < MIN_MESH_MISFIT:
         return None
-    mesh, observation = problem.clip.mesh, problem.observation.take(index)
-    coarse, radius = problem.surface.coarse, problem.surface.diameter / 2.0
+    mesh, coarse, radius = problem.clip.mesh, problem.surface.coarse, problem.surface.diameter / 2.0
     level = SHAPE_FIT_LEVEL_PX
-    seen = observation, level, MASK_STEP_PX[level], MIN_CURVATURE_DISTANCE_PX[level]
     kind = unmeasured_kind(problem.clip)
     stretch = STRETCH_SIGMA if kind is None or kind.stretch is None else kind.stretch
     bend = BEND_SIGMA if kind is None or kind.bend is None else kind.bend
@@ -163,17 +190,26 @@ def fit_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], m
     if body is not None:
         stiffness = _block_diagonal(stiffness, profile_stiffness(len(body.before)))
     stiffness *= len(index)
-    mask = MaskTerm(SilhouetteMesh.of(coarse, mesh.centre), *seen)
-    by_shape = MaskByShape(coarse, mesh.centre, radius, *seen, body)
-    undeformed = minimise(motion, [mask], T_cam_hand, MAX_SHAPE_ITERATIONS)
+
+    def by_shape(observation: Observation) -> MaskByShape:
+        seen = observation, level, MASK_STEP_PX[level], MIN_CURVATURE_DISTANCE_PX[level]
+        return MaskByShape(coarse, mesh.centre, radius, *seen, body)
+
+    views = []
+    for view in problem.views:
+        at = np.flatnonzero(np.isin(index, view.rows))
+        own = np.searchsorted(view.rows, index[at])
+        views.append(_ShapeInView(by_shape(view.observation.take(own)), at, view.T_view_cam[own]))
+    own_view = by_shape(problem.observation.take(index))
+    undeformed = minimise(motion, all_masks_energy(problem)(level, index), T_cam_hand, MAX_SHAPE_ITERATIONS)
     start = np.zeros((len(undeformed.energy), len(stiffness)))
-    begun = _ShapeState(undeformed.motion, start, by_shape, stiffness, T_cam_hand)
+    begun = _ShapeState(undeformed.motion, start, own_view, tuple(views), stiffness, T_cam_hand)
     warped = least_squares.minimise(begun, MAX_SHAPE_ITERATIONS).state
     best = int(warped.cost.argmin())
     if not warped.cost[best] < MAX_SHAPE_ENERGY_RATIO * undeformed.energy.min():
         return None
     warps, widths = np.split(warped.weights[best], [len(DEFORMATION_MODES)])
-    warp = by_shape.warp((warps @ DEFORMATION_MODES).reshape(9, 3), widths)
+    warp = own_view.warp((warps @ DEFORMATION_MODES).reshape(9, 3), widths)
     if warp.expansion(mesh.vertices).min() < MIN_WARP_EXPANSION:
         return None
     shape = remove_similarity(warp, mesh, resize=problem.clip.scale == "free")[0]

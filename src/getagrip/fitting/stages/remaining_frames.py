@@ -9,7 +9,7 @@ the object, where the mask is an outlier, and for methods without a motion model
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -22,7 +22,7 @@ from getagrip.fitting.motion import Frozen, Motion, PosesInHand, hand_object_tra
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solver.solve import minimise
 from getagrip.fitting.stages.mesh_deformation import relative_contour_error
-from getagrip.fitting.stages.robust_masks import NeighbourPrediction, image_iou
+from getagrip.fitting.stages.robust_masks import NeighbourPrediction, image_iou, view_outliers
 from getagrip.geometry import se3
 from getagrip.result import FrameKind
 
@@ -176,5 +176,8 @@ def _chunks_of_frames(
             wrong = predicted.overlap(part, some).differing > problem.trust.outlier_threshold
             index = some[~wrong]
             part = problem.at(clip.take(index)) if wrong.any() and len(index) else part
+            if len(index) and (in_views := view_outliers(part, predicted, index)[0]):
+                trust = replace(part.trust, view_outliers=part.trust.view_outliers | in_views)
+                part = replace(part, trust=trust).at(part.clip)
         if len(index):
             yield index, part

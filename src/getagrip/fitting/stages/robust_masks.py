@@ -31,7 +31,7 @@ from getagrip.fitting.motion import (
     interpolate_object_poses,
     transform_poses,
 )
-from getagrip.fitting.problem import MethodResult, Problem
+from getagrip.fitting.problem import MethodResult, ObservedView, Problem
 from getagrip.geometry import se3
 from getagrip.geometry.kernels.silhouette import MIN_SILHOUETTE_DEPTH_M, silhouettes, unpack
 from getagrip.io.images import pack_masks
@@ -62,7 +62,7 @@ def fit_without_outliers(
     frames in that fit's. More of them may have led it astray, so the search is made anew. Raises what ``fit`` raises.
     """
     everywhere = np.arange(len(problem.clip))
-    found, some, used, limit = fit(problem), problem, everywhere, np.inf
+    found, some, used, limit, limits = fit(problem), problem, everywhere, np.inf, dict[str, float]()
     for _ in range(MAX_OUTLIER_FITS - 1):
         if len(used) < MIN_OUTLIER_FIT_FRAMES:
             break
@@ -70,20 +70,42 @@ def fit_without_outliers(
         predicted = NeighbourPrediction.by(solved, found.poses, used)
         T = interpolate_solved_hand(problem.clip.hand.T_cam_hand, solved.clip.hand.T_cam_hand, used)
         whole = replace(problem, clip=problem.clip.with_hand_at(T)) if found.hand else problem
-        met = predicted.overlap(whole.warped(found.warp), everywhere)
+        whole = whole.warped(found.warp)
+        met = predicted.overlap(whole, everywhere)
         limit = outlier_threshold(met)
         inliers = np.flatnonzero(met.differing <= limit)
-        if np.array_equal(inliers, used):
+        in_views, limits = view_outliers(whole, predicted, everywhere)
+        if np.array_equal(inliers, used) and in_views == some.trust.view_outliers:
             break
-        changed, before, used = np.setxor1d(inliers, used), used, inliers
-        some = problem.at(problem.clip.take(used))
-        if len(changed) <= MAX_REFIT_CHANGE * len(everywhere) and can_refit(found):
+        apart = {*in_views} ^ {*some.trust.view_outliers}
+        changed, before, used = len(np.setxor1d(inliers, used)) + len(apart), used, inliers
+        trust = replace(problem.trust, view_outliers=in_views, view_thresholds=limits)
+        some = replace(problem, trust=trust).at(problem.clip.take(used))
+        if changed <= MAX_REFIT_CHANGE * len(everywhere) and can_refit(found):
             found = refit(some, found, np.interp(used, before, np.arange(len(before))))
         else:
             found = fit(some)
     names = tuple(name for n, name in enumerate(problem.clip.frames) if n not in used)
     some = some.as_found(found)
-    return replace(some, trust=replace(some.trust, outliers=names, outlier_threshold=limit)), found
+    trust = replace(some.trust, outliers=names, outlier_threshold=limit, view_thresholds=limits)
+    return replace(some, trust=trust), found
+
+
+def view_outliers(
+    problem: Problem, predicted: NeighbourPrediction, at: Int[ndarray, "n"]
+) -> tuple[frozenset[tuple[str, str]], dict[str, float]]:
+    """Find the outlier masks of further views in a problem's frames, the clip's frames ``at``.
+
+    Return each as the names of view and frame, and the threshold of each view: the known one, else that of these masks.
+    """
+    found, limits = set[tuple[str, str]](), dict(problem.trust.view_thresholds)
+    for view in problem.views:
+        if view.name not in limits and len(view.rows) < MIN_OUTLIER_FIT_FRAMES:
+            continue
+        met = predicted.overlap(problem, at, view)
+        limit = limits.setdefault(view.name, outlier_threshold(met))
+        found |= {(view.name, problem.clip.frames[n]) for n in view.rows[met.differing > limit]}
+    return frozenset(found), limits
 
 
 def can_refit(found: MethodResult) -> bool:
@@ -184,13 +206,18 @@ class NeighbourPrediction:
             medoid_poses(best, problem.surface.points), transform_poses(best, problem.clip.hand.T_cam_hand), at
         )
 
-    def overlap(self, problem: Problem, at: Int[ndarray, "m"]) -> MaskOverlap:
-        """Compare the masks of a problem's frames, the clip's frames ``at``, with the better predicted silhouettes."""
+    def overlap(self, problem: Problem, at: Int[ndarray, "m"], view: ObservedView | None = None) -> MaskOverlap:
+        """Compare the masks of a problem's frames, the clip's frames ``at``, with the better predicted silhouettes.
+
+        With a further view, its masks are compared, in the frames that it shows.
+        """
         clip, centre, scale = problem.clip, problem.clip.mesh.centre, float(self.typical.scale[0])
         in_hand = interpolate_object_poses(self.typical, self.at, at)
         between = transform_poses(self.between(at), se3.inverse(clip.hand.T_cam_hand))
+        rows = np.arange(len(clip)) if view is None else view.rows
+        seen, masks = (clip, problem.masks) if view is None else (view.clip(clip), view.masks)
         one, two = (
-            mask_overlap(clip, problem.masks, hand_object_transforms(poses, centre)[0], scale)
+            mask_overlap(seen, masks, hand_object_transforms(poses, centre)[0][rows], scale)
             for poses in (in_hand, between)
         )
         first = one.differing <= two.differing
