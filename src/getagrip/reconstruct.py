@@ -15,7 +15,8 @@ from threadpoolctl import threadpool_limits
 
 from getagrip.checks import INPUT_CHECKS, Evidence, compute_features, input_checks, result_checks, run_checks
 from getagrip.checks.timeline_checks import GRASP_CHECKS
-from getagrip.clip import Clip, Masks, check_clip, check_masks, read_masks, with_masks
+from getagrip.clip import Clip, Masks, check_clip, check_masks, masks_in_memory, read_masks, with_masks
+from getagrip.clip.views import View, from_best_view
 from getagrip.compiling import COMPILATION_MESSAGE, compile_once
 from getagrip.errors import GetagripError, InputError, UsageError, check_arguments
 from getagrip.fitting.energy.in_view import VIEW_SEPARATOR
@@ -120,7 +121,12 @@ def reconstruct(
         if masks is not None:
             check_masks(clip, masks)
             clip = with_masks(clip, masks.in_bits)
-        elif options.every_frame and len(clip) * clip.size[0] * clip.size[1] <= MAX_MASK_PIXELS_IN_MEMORY:
+        clip, view = (clip, None) if options.as_published else from_best_view(clip)
+        if (
+            masks_in_memory(clip) is None
+            and options.every_frame
+            and len(clip) * clip.size[0] * clip.size[1] <= MAX_MASK_PIXELS_IN_MEMORY
+        ):
             clip = with_masks(clip, read_masks(clip))  # each file once: for its object, its fit and its frame
         clip = with_hand_size(clip, options)
         compile_once(lambda: on_stage and on_stage(COMPILATION_MESSAGE, 0.0))
@@ -142,8 +148,17 @@ def reconstruct(
             clock("check of the result")
         result = make_reconstruction(source, answer, judgement, clock.seconds())
         result = restore_object_size(result, source.original)
+        result = result if view is None else _in_first_camera(result, source.original, view)
         known = distance_interval(clip, result)
         return replace(result, distance_interval_mm=known).made_of(given, masks)
+
+
+def _in_first_camera(result: Reconstruction, clip: Clip, view: View) -> Reconstruction:
+    """Return the result of a clip that was fitted from a further view, with poses in the first camera's frame."""
+    assert result.T_cam_hand is not None
+    T = view.T_cam_view[clip.index_of(result.frames)]
+    note = f"fitted from the view {view.name}, which shows the object in more frames; IOU is of that view"
+    return replace(result, T_cam_hand=T @ result.T_cam_hand, notes=(*result.notes, note))
 
 
 class StableGrasp:

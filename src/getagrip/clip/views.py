@@ -20,6 +20,7 @@ from getagrip.clip.clip import Clip, Masks, OtherHand
 from getagrip.clip.depth import DEPTH_KEY, VIEW_FILE, Depth, depth_file, read_depth, write_clip_depth
 from getagrip.clip.masks import (
     mask_files,
+    masks_in_memory,
     read_available_masks,
     with_masks,
     write_masks,
@@ -41,6 +42,9 @@ VIEW_CAMERA_KEYS = ("K", "T_cam_view")
 MAX_VIEWS = 64
 MAX_TIME_OFFSET_S = 1.0
 """Maximum difference between the times of a view's images and the clip's [s]: more is another moment."""
+OWN_VIEW, BETTER_VIEW_RATIO = "first camera", 2.0
+"""Name of a clip's own view in a clip that is fitted from a further one, and the ratio of frames that show the object
+from which on it is."""
 JOINTS_FILE = "joints.npz"
 """File of the hand's joints in a view's images."""
 
@@ -162,6 +166,32 @@ def clip_in_view(clip: Clip, view: View) -> Clip:
         evidence={"texture": None, VIEWS_KEY: None, DEPTH_KEY: view.depth},
     )  # fmt: skip
     return with_masks(seen, view.masks)
+
+
+def from_best_view(clip: Clip) -> tuple[Clip, View | None]:
+    """Return a clip as the view sees it that shows the object in most frames, and that view.
+
+    That is the clip's own, None, unless a further one shows the object in more than ``BETTER_VIEW_RATIO`` times as many
+    frames. The clip's own view is then a further one. Raises ``InputError`` as reading views does.
+    """
+    in_memory = VIEWS_KEY in clip.evidence
+    if not (views_of(clip) if in_memory else clip.folder is not None and view_folders(clip.folder)):
+        return clip, None
+    masks = masks_in_memory(clip) or read_available_masks(clip, with_hand=True) or _unknown_masks(len(clip), clip.size)
+    shown = BETTER_VIEW_RATIO * masks.observed.sum()
+    if shown >= len(clip):
+        return clip, None
+    clip = clip if in_memory else replace(clip, evidence={**clip.evidence, VIEWS_KEY: read_views(clip)})
+    best = max(views_of(clip), key=lambda view: int(view.masks.observed.sum()))
+    if best.masks.observed.sum() <= shown:
+        return clip, None
+    depth, T = clip.evidence.get(DEPTH_KEY), best.T_view_cam
+    own = View(
+        name=OWN_VIEW, size=clip.size, K=clip.K, T_cam_view=T, masks=masks, joints_2d=clip.hand.joints_2d,
+        joints_2d_confidence=clip.hand.joints_2d_confidence, depth=depth if isinstance(depth, Depth) else None,
+    )  # fmt: skip
+    others = [replace(view, T_cam_view=T @ view.T_cam_view) for view in views_of(clip) if view is not best]
+    return with_views(replace(clip_in_view(clip, best), name=clip.name), [own, *others]), best
 
 
 def view_folders(folder: Path) -> list[Path]:

@@ -151,3 +151,14 @@ def test_a_view_without_a_mask_in_these_frames_is_a_note() -> None:
     assert contradicting_views(late, masks) == {}
     findings = run_checks(FurtherViews.result_checks, Evidence(late, masks))[1]
     assert [(f.check, f.serious) for f in findings] == [("view-unseen", False)]
+
+
+@pytest.mark.slow
+def test_a_clip_whose_own_camera_sees_little_is_fitted_from_the_view_that_sees_most() -> None:
+    clip, masks = AddedViews(3, UNCHANGED)(*scene("kettle", 1), 0)
+    objects, ignored = np.asarray(masks.object).copy(), np.asarray(masks.ignore).copy()
+    objects[1:], ignored[1:] = False, True
+    found = reconstruct(clip, Masks(objects, ignored), DEFAULT)
+    assert any("fitted from the view view2" in note for note in found.notes)
+    assert len(found.frames) == len(clip)
+    assert error_in_camera(found, clip) < 0.002
