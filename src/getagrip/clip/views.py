@@ -8,7 +8,7 @@ first one; poses of the other cameras are in its frame.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -28,10 +28,11 @@ from getagrip.clip.masks import (
 from getagrip.clip.read import parse_frame_names, parse_image_size, parse_intrinsics, parse_matrices
 from getagrip.clip.read_arrays import check_camera_poses, parse_joints_2d
 from getagrip.clip.write import collapse_constant
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import InputError, UsageError, unknown_choice_error
 from getagrip.geometry import se3
 from getagrip.io import arrays, files
 from getagrip.io.array_data import ArrayData, check_finite
+from getagrip.io.files import Json
 from getagrip.io.images import PackedMask, PackedMasks
 from getagrip.provenance import Provenance, parse_provenance
 
@@ -235,20 +236,50 @@ def read_view(clip: Clip, folder: Path) -> View:
     return replace(view, depth=depth)
 
 
-class _Camera(NamedTuple):
-    """A view whose pixels are not read."""
+@dataclass(frozen=True)
+class ViewHeader:
+    """The checked content of ``view.json``, at the n frames that the view has; its masks and depth are not read.
 
-    view: View
-    n_frames: int
-    """Number of its own frames."""
-    rows: Int[ndarray, "T"]
-    """Own frame of each of the clip's, or the nearest one."""
-    known: Bool[ndarray, "T"]
-    """True in the clip's frames that it has."""
+    Attributes:
+        folder: the view's folder.
+        fields: the content.
+        frames: names of its frames, as the clip's.
+        size: width and height of its images [px].
+        K: (n, 3, 3) intrinsics [px].
+        T_cam_view: (n, 4, 4) pose of its camera in the clip's camera frame [m].
+        time_offset: time of its images after the clip's [s].
+    """
+
+    folder: Path
+    fields: Json
+    frames: tuple[str, ...]
+    size: tuple[int, int]
+    K: Float[ndarray, "n 3 3"]
+    T_cam_view: Float[ndarray, "n 4 4"]
+    time_offset: float
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.folder / VIEW_FILE
+
+    def changed(self, new: Mapping[str, object]) -> Json:
+        """Return the content of ``view.json`` with ``new`` fields."""
+        return {**self.fields, **new}
 
 
-def _read_camera(clip: Clip, folder: Path) -> _Camera | None:
-    """Read and check the camera of a view; None if the view has none of the clip's frames. Raises ``InputError``."""
+def find_view(clip: Path, name: str) -> ViewHeader:
+    """Read the header of a view in a clip's folder. Raises ``InputError``, and ``UsageError`` for an unknown view."""
+    found = {folder.name: folder for folder in view_folders(clip)}
+    if not found:
+        raise UsageError(f"--view cannot be used with {clip}: it has no views; clip new --view makes them")
+    if name not in found:
+        raise unknown_choice_error("--view", name, found)
+    return read_view_header(found[name])
+
+
+def read_view_header(folder: Path) -> ViewHeader:
+    """Read and check the description of a view in its folder. Raises ``InputError``."""
     path = files.inside(folder, VIEW_FILE, "", "the description of a view")
     fields = files.read_json(path)
     unknown = next((key for key in fields if key not in VIEW_KEYS), None)
@@ -267,15 +298,38 @@ def _read_camera(clip: Clip, folder: Path) -> _Camera | None:
     K = parse_intrinsics(path, camera, len(frames), size)
     T = parse_matrices(path, "camera.T_cam_view", camera["T_cam_view"], 4, len(frames))
     check_camera_poses(path, T, frames, "camera.T_cam_view")
+    stated = fields.get("provenance", {})
+    if not isinstance(stated, dict):
+        raise InputError(path, "provenance", files.shorten_value(stated), "an object")
+    fields = {**fields, "provenance": parse_provenance(path, stated, 4)}
+    return ViewHeader(folder, fields, tuple(frames), size, K, T, float(offset))
+
+
+class _Camera(NamedTuple):
+    """A view whose pixels are not read."""
+
+    view: View
+    n_frames: int
+    """Number of its own frames."""
+    rows: Int[ndarray, "T"]
+    """Own frame of each of the clip's, or the nearest one."""
+    known: Bool[ndarray, "T"]
+    """True in the clip's frames that it has."""
+
+
+def _read_camera(clip: Clip, folder: Path) -> _Camera | None:
+    """Read and check the camera of a view; None if the view has none of the clip's frames. Raises ``InputError``."""
+    about = read_view_header(folder)
+    frames, size = about.frames, about.size
     place = {name: n for n, name in enumerate(frames)}
     known = np.array([name in place for name in clip.frames])
     if not known.any():
         return None
     rows = _nearest_known(np.array([place.get(name, -1) for name in clip.frames]), known)
     view = View(
-        name=folder.name, size=size, K=K[rows], T_cam_view=T[rows], masks=_unknown_masks(len(clip), size),
-        time_offset=float(offset), folder=folder,
-        provenance=parse_provenance(path, fields.get("provenance", {}), 4),
+        name=folder.name, size=size, K=about.K[rows], T_cam_view=about.T_cam_view[rows],
+        masks=_unknown_masks(len(clip), size), time_offset=about.time_offset, folder=folder,
+        provenance=about.fields["provenance"],
     )  # fmt: skip
     return _Camera(view, len(frames), rows, known)
 
@@ -293,13 +347,26 @@ def _unknown_masks(frames: int, size: tuple[int, int]) -> Masks:
     return Masks(*(PackedMasks([each] * frames, size[::-1]).as_array() for each in (nothing, everything)))
 
 
+def write_view_header(
+    folder: Path, frames: Sequence[str], size: tuple[int, int], K: Float[ndarray, "n 3 3"],
+    T_cam_view: Float[ndarray, "n 4 4"], time_offset: float, provenance: Provenance,
+) -> None:  # fmt: skip
+    """Write the description of a view of some of a clip's frames into the view's folder."""
+    camera = {"K": collapse_constant(K), "T_cam_view": collapse_constant(T_cam_view)}
+    about: Json = {"version": VIEW_FORMAT_VERSION, "frames": frames, "size": size, "camera": camera}
+    about |= {"time_offset": time_offset} if time_offset else {}
+    files.write_json(folder / VIEW_FILE, {**about, "provenance": provenance})
+
+
+def write_view_joints(path: Path, points: Float[ndarray, "n 21 2"], confidence: Float[ndarray, "n 21"]) -> None:
+    """Write the hand's joints in a view's n frames [px] to ``joints.npz``."""
+    arrays.write(path, {"joints_2d": points, "joints_2d_confidence": confidence})
+
+
 def write_view(view: View, clip: Clip, folder: Path) -> None:
     """Write a view of a clip into ``views/NAME`` of the clip's new folder."""
     to = files.folder_inside(folder, VIEWS_KEY, view.name)
-    camera = {"K": collapse_constant(view.K), "T_cam_view": collapse_constant(view.T_cam_view)}
-    about = {"version": VIEW_FORMAT_VERSION, "frames": clip.frames, "size": view.size, "camera": camera}
-    about |= {"time_offset": view.time_offset} if view.time_offset else {}
-    files.write_json(to / VIEW_FILE, {**about, "provenance": view.provenance})
+    write_view_header(to, clip.frames, view.size, view.K, view.T_cam_view, view.time_offset, view.provenance)
     masks = view.masks
     if masks.known.any():
         write_masks(masks.object, masks.known, clip.frames, to / "masks" / "object")
@@ -308,7 +375,6 @@ def write_view(view: View, clip: Clip, folder: Path) -> None:
         if masks.hand is not None:
             write_masks(masks.hand, masks.known, clip.frames, to / "masks" / "hand")
     if view.joints_2d is not None and view.joints_2d_confidence is not None:
-        seen = {"joints_2d": view.joints_2d, "joints_2d_confidence": view.joints_2d_confidence}
-        arrays.write(to / JOINTS_FILE, seen)
+        write_view_joints(to / JOINTS_FILE, view.joints_2d, view.joints_2d_confidence)
     if view.depth is not None:
         write_clip_depth(clip_in_view(clip, view), view.depth, to)

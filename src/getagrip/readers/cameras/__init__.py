@@ -16,7 +16,7 @@ from getagrip.readers.cameras import capture_apps, colmap, opencv_rig, rig_files
 from getagrip.readers.cameras.camera_path import CameraPath
 from getagrip.readers.cameras.rig import Rig, rig_of_images
 
-__all__ = ["CAMERA_FORMATS", "RIG_FORMATS", "CameraPath", "Rig", "read_camera_path", "read_rig"]
+__all__ = ["CAMERA_FORMATS", "RIG_FORMATS", "CameraPath", "Rig", "holds_rig_only", "read_camera_path", "read_rig"]
 
 CAMERA_FORMATS: dict[str, Callable[[Path], CameraPath | None]] = {
     "colmap (images.txt or images.bin, cameras.txt or cameras.bin)": colmap.read_colmap,
@@ -87,3 +87,12 @@ def read_rig(path: Path, metres: float | None = None) -> Rig:
     if not found:
         raise InputError(path, "", "a calibration of no known program", f"one of {', '.join(RIG_FORMATS)}")
     return next(iter(found.values())).scaled(metres)
+
+
+def holds_rig_only(path: Path) -> bool:
+    """Return whether a file is a calibration of several cameras, and no path of one. Raises ``InputError``."""
+    with arrays.convert_to_input_errors(path):
+        rigs = [read for read in RIG_FORMATS.values() if not isinstance(read, partial)]
+        if not path.exists() or any(read(path) is not None for read in CAMERA_FORMATS.values()):
+            return False
+        return any(read(path) is not None for read in rigs)
