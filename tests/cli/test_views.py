@@ -198,7 +198,7 @@ def hand_points() -> ndarray:
     """A flat hand, as a camera sees it."""
     fingers = np.array([[4.0, -4.0], [2.0, -8.0], [0.0, -9.0], [-2.0, -8.0], [-4.0, -7.0]])
     along = np.array([0.9, 1.3, 1.6, 1.9])[:, None]
-    return np.concatenate([np.zeros((1, 2)), *[along * one for one in fingers]]) + [32.0, 34.0]
+    return np.concatenate([np.zeros((1, 2)), *[along * one for one in fingers]]) + np.array([32.0, 34.0])
 
 
 def test_a_new_calibration_of_all_views(made: Path, run: Run) -> None:

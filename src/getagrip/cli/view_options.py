@@ -148,6 +148,23 @@ class CalibratedViews:
             raise InputError(self.rig.path, f"{one.name}.distortion", str(error), expected) from error
 
 
+def write_undistorted(
+    path: Path, removal: Callable[[UInt8[ndarray, "H W 3"]], UInt8[ndarray, "H W 3"]], folder: Path
+) -> Path:
+    """Write the frames of footage, whose lens distorts, without distortion into a folder of images; return it."""
+    from contextlib import closing
+
+    from getagrip.io.images import write_image
+    from getagrip.readers.footage import ImageFolder, VideoFootage
+
+    to = files.folder_inside(folder, "undistorted") / path.stem
+    opened = ImageFolder.open(path) if path.is_dir() else VideoFootage(path)
+    with closing(opened) as footage, files.new_folder(to, (f"{opened.name(0)}.jpg",) if to.exists() else ()) as new:
+        for n in range(footage.frames):
+            write_image(new / f"{footage.name(n)}.jpg", removal(footage.image(n)))
+    return to
+
+
 @dataclass(frozen=True, eq=False)
 class NewView:
     """A view of a clip that is being made."""
