@@ -50,7 +50,7 @@ HAND_SCALE_KEY, HAND_DISTANCE_KEY = "hands_scale", "hands_focal"
 
 @dataclass(frozen=True, eq=False)
 class DraftedView:
-    """What a further camera sees.
+    """A further camera's footage, with the hand and the object's masks in it.
 
     Attributes:
         name: name of the view.
@@ -146,12 +146,12 @@ class DraftedViews:
         if found is None:
             return "the hand's size is assumed: the joints of the views do not meet; is the calibration theirs?"
         rows = [header.frames.index(name) for name in clip.frames]
-        told = _describe_alignment(found, 1 + len(others))
-        sources = {HAND_SCALE_KEY: estimated(told), HAND_DISTANCE_KEY: estimated(told)}
+        words = _describe_alignment(found, 1 + len(others))
+        sources = {HAND_SCALE_KEY: estimated(words), HAND_DISTANCE_KEY: estimated(words)}
         with files.new_file(header.folder / "hand.npz") as hand, files.new_file(header.path) as fields:
             write_hand_at(found.hand, header.frames, rows, hand)
             files.write_json(fields, header.changed({"provenance": header.fields["provenance"] | sources}))
-        return f"hands_scale: {told}"
+        return f"hands_scale: {words}"
 
 
 def _describe_alignment(found: AlignedHand, views: int) -> str:

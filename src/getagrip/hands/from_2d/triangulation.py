@@ -29,8 +29,8 @@ MIN_ALIGNED_JOINTS = 6
 """Least number of triangulated joints to which the hand is moved in a frame."""
 HAND_SIZE_RANGE = 0.6, 1.6
 """Range of the factor on the size of a mean hand; others are errors of the cameras."""
-ROBUST_ROUNDS, ROBUST_SIGMA_M = 5, 0.012
-"""Rounds of an alignment with lower weights for joints that are off, and the distance at which they are halved [m]."""
+N_ALIGNMENTS, ROBUST_SIGMA_M = 5, 0.012
+"""Number of alignments, each with lower weights for joints that are off, and the distance at which they halve [m]."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def align_hand(hand: HandTrack, X: Float[ndarray, "T 21 3"]) -> AlignedHand | No
 def _best_similarity(X: Float[ndarray, "n 3"], Y: Float[ndarray, "n 3"]) -> tuple[float, Float[ndarray, "n"]]:
     """Return the scale of the robust similarity from X to Y, and the weights of the points."""
     w, scale = np.ones(len(X)), 1.0
-    for _ in range(ROBUST_ROUNDS):
+    for _ in range(N_ALIGNMENTS):
         T = _best_pose(X, Y, w)
         mean_X, mean_Y = (np.average(each, axis=0, weights=w) for each in (X, Y))
         turned = (X - mean_X) @ T[:3, :3].T
