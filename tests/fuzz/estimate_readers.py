@@ -14,7 +14,7 @@ import pytest
 from fuzz.child import Reader, mano_folder
 from getagrip.hands import mano
 from getagrip.io import arrays
-from getagrip.readers.cameras import read_camera_path
+from getagrip.readers.cameras import read_camera_path, read_rig
 from getagrip.readers.masks.mask_request import MaskRequest
 from getagrip.readers.masks.mask_sources import open_masks
 from getagrip.readers.trackers import Request, Tracker
@@ -29,7 +29,7 @@ from getagrip.readers.trackers.joints import Joints, Soma
 from getagrip.readers.trackers.landmarks_2d import Landmarks
 from getagrip.readers.trackers.mano_parameters import ManoParameters
 from getagrip.readers.trackers.v2d import V2D
-from helpers import hand_files, program_files
+from helpers import hand_files, program_files, rig_files
 from helpers.hand_files import Known, hamer_record, write_npz
 
 REQUEST = MaskRequest(program_files.FRAMES, program_files.SIZE, ("1",), ("2", "3"))
@@ -127,6 +127,16 @@ def mano_files(folder: Path) -> None:
         hand_files.write_mano_files(folder / "mano", patch)
 
 
+def rigs(write: rig_files.RigWriter, names: int) -> Reader:
+    """A calibration of several cameras."""
+
+    def read(folder: Path) -> None:
+        inside = sorted(one for one in folder.iterdir() if one.name not in ("intrinsics",))
+        read_rig(inside[0] if len(inside) == 1 else folder)
+
+    return Reader(lambda folder: write(folder, rig_files.known_rig(names)), read)
+
+
 def cameras(write: Callable[[Path, np.ndarray], Path]) -> Reader:
     """A camera's path by another program, in one file or a folder."""
 
@@ -143,6 +153,7 @@ def soma(folder: Path, known: Known) -> None:
 
 READERS: dict[str, Reader] = {
     **{f"cameras {name}": cameras(write) for name, (write, _, _) in program_files.WRITERS.items()},
+    **{f"rig {name}": rigs(write, len(names)) for name, (write, names, _) in rig_files.RIG_WRITERS.items()},
     "hands hawor world": hands(HaWoR(), lambda folder, known: hand_files.hawor_folder(folder, known, None)),
     "hands dynhamr": hands(DynHaMR(), lambda folder, known: hand_files.dynhamr_file(folder, known, None)),
     "hands fasthamer": hands(HaMeR(), hand_files.fasthamer_files),

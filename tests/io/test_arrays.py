@@ -28,7 +28,6 @@ from getagrip.hands import mano
 from getagrip.io import arrays, files, processes
 from getagrip.io.arrays import convert_to_input_errors
 from getagrip.readers import footage, streams
-from getagrip.readers.datasets.dexycb.dexycb_files import read_yaml
 from getagrip.readers.datasets.epic import epic_images
 from getagrip.readers.masks import mask_regions
 from getagrip.readers.masks.mask_request import MaskRequest
@@ -236,12 +235,12 @@ def test_jpegs_of_two_sizes_are_refused_before_they_are_decoded(tmp_path: Path, 
 @pytest.mark.parametrize("text", ["a: !!timestamp x", 'a: !!int ""', "a: !!bool x", "a: !!float x", "? [a]\n: b"])
 def test_yaml_that_is_no_value_is_refused(tmp_path: Path, refused: Callable[..., str], text: str) -> None:
     (tmp_path / "a.yml").write_text(text)
-    refused(lambda: read_yaml(tmp_path / "a.yml"), "a.yml")
+    refused(lambda: files.read_yaml(tmp_path / "a.yml"), "a.yml")
 
 
 def test_yaml_that_takes_long_is_refused_by_its_size(tmp_path: Path, refused: Callable[..., str]) -> None:
     (tmp_path / "a.yml").write_text("a: [" + "a," * 500_000 + "]")
-    refused(lambda: read_yaml(tmp_path / "a.yml"), "bytes")
+    refused(lambda: files.read_yaml(tmp_path / "a.yml"), "bytes")
 
 
 @pytest.mark.parametrize("faces", ["f" + " 1" * 3_000_000 + "\n", ("f " + "1 " * 250_000 + "\n") * 4])

@@ -64,10 +64,13 @@ def command_of_call(call: CommandCall) -> Command:
 def run_draft(request: DraftRequest) -> None:
     """Make a draft without its page in this process. Raises ``GetagripError`` with its output where it fails."""
     from getagrip.cli.draft import Draft
+    from getagrip.cli.view_options import ViewOptions
     from getagrip.geometry.lens import Lens
 
+    views = ViewOptions(view=request.views, cameras=request.cameras, camera=request.camera)
     command = Draft(
-        video=request.video, object=str(request.object), size_mm=request.size_mm, lens=Lens(K=request.K),
+        video=request.video, object=str(request.object), size_mm=request.size_mm,
+        lens=Lens() if request.views else Lens(K=request.K), views=views, box_view=request.box_view,
         object_box=request.object_box, masks=None if request.masks is None else str(request.masks),
         hands=None if request.hands is None else str(request.hands), depth=request.depth, depth_from=request.depth_from,
         models=request.models, out=request.out, no_page=True,

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
 from getagrip.cli.command import Command, Labels, OptionalSide
+from getagrip.cli.view_options import ViewOptions, named_argument, write_undistorted
 from getagrip.errors import GetagripError, UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.io.options import Flag, OptionalFolder
@@ -35,12 +37,12 @@ DRAFT_ANNOTATOR = "draft"
 """Name of the annotator whose marks a draft starts with."""
 
 
-def parse_box(words: list[str]) -> tuple[float, ...]:
+def parse_box(words: list[str]) -> tuple[float, float, float, float]:
     """Parse left, top, width and height in one word. Raises ``ValueError``."""
     box = tuple(float(number) for number in words[0].split(","))
     if len(box) != 4 or min(box[2:]) <= 0.0:
         raise ValueError("a box is X,Y,W,H, its width and height above 0")
-    return box
+    return box[0], box[1], box[2], box[3]
 
 
 BOX_ARGUMENT: PrimitiveConstructorSpec[tuple[float, ...] | None] = PrimitiveConstructorSpec(
@@ -50,6 +52,11 @@ BOX_ARGUMENT: PrimitiveConstructorSpec[tuple[float, ...] | None] = PrimitiveCons
     is_instance=lambda value: value is None or (isinstance(value, tuple) and len(value) == 4),
     str_from_instance=lambda value: [",".join(f"{x:g}" for x in value or ())],
 )
+
+
+NamedBox = Annotated[
+    tuple[str, tuple[float, float, float, float]], named_argument("NAME=X,Y,W,H", lambda text: parse_box([text]))
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,6 +115,11 @@ class Draft(Command):
     """Folder of the hand models (default: the cache; getagrip doctor --fetch hands)."""
     lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
     """The camera. Without it the focal length is assumed."""
+    views: Annotated[ViewOptions, arg(name="")] = field(default_factory=ViewOptions)
+    """Further cameras of the same grasp."""
+    box_view: Annotated[tuple[NamedBox, ...], UseAppendAction, arg(help_behavior_hint="")] = ()
+    """Box around the object in a view's image of the first frame [px], as --object-box. Without it a view tells of the
+    hand alone."""
     port: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 8765, or the next free one)")] = None
     """Port of the page on 127.0.0.1."""
 
@@ -136,6 +148,11 @@ class Draft(Command):
                 missing = {"hands-from": "--hands FILE", "find-grasps": "--masks or --object-box"}
                 missing |= {"depth": "--depth-from NAME", "depth-from": "--depth PATH", "depth-first": "--depth PATH"}
                 raise UsageError(f"missing {missing.get(name, '--masks FILE')}: --{name} needs it")
+        self.views.check()
+        if unknown := next((name for name, _ in self.box_view if name not in self.views.names), None):
+            raise UsageError(f"--box-view must be of a --view (got {unknown})")
+        if self.views.view and self.lens.is_set:
+            raise UsageError("--K cannot be used with --cameras, which has the camera of the video")
         if self.mask_word and self.masks != "sam3":
             raise UsageError("missing --masks sam3: --mask-word needs it")
         if self.masks == "sam3" and self.object_box is None and self._word is None:
@@ -168,13 +185,17 @@ class Draft(Command):
         video = self._source()
         task = read_tasks(video, None)[0]
         self.folder.mkdir(parents=True, exist_ok=True)
-        project = Project([task], Store(self.folder / DATABASE), self._lens)
+        project = Project([task], Store(self.folder / DATABASE), self.lens_stated)
         try:
             footage = project.footage(task)
-            stretch = self._stretch(footage)
+            stretch = self.stretch(footage)
             project.labelling.depth = self._depth(stretch)
-            found = self._write_hands(stretch, self._inputs(stretch, video))
-            drawn = self._drawn(stretch, found)
+            found = self.write_hands(stretch, self.inputs(stretch, video))
+            if self.views.view:
+                from getagrip.cli.draft_views import draft_views
+
+                project.labelling.views = draft_views(self, stretch, found).add_to
+            drawn = self.drawn(stretch, found)
             whole = (found.frames[0], found.frames[-1])
             labels = Drawn(
                 video.name, footage.size, found.side, footage.fps, *whole, _labels_within_extent(drawn, whole)
@@ -206,7 +227,7 @@ class Draft(Command):
         finally:
             project.close()
 
-    def _write_hands(self, stretch: VideoInterval, inputs: str) -> DetectedHands:
+    def write_hands(self, stretch: VideoInterval, inputs: str) -> DetectedHands:
         """Find the hands and write them, unless they were found before by the same ``inputs``. Raises as ``run``."""
         from getagrip.cli.draft_inputs import read_own_hands
         from getagrip.io.terminal import progress_bar
@@ -227,7 +248,7 @@ class Draft(Command):
         print(f"{made}: the {found.side} hand in {len(found.frames)} of {len(stretch.names)} frames{guessed}")
         return found
 
-    def _inputs(self, stretch: VideoInterval, video: Path) -> str:
+    def inputs(self, stretch: VideoInterval, video: Path) -> str:
         """Return a checksum of all that the hands are found by; empty for hands of a file, which are read again."""
         from getagrip import __version__
         from getagrip.studio.jobs import estimators_making
@@ -248,7 +269,7 @@ class Draft(Command):
         names = sorted(path for path in self.video.iterdir() if path.name[0] != ".") if folder else [self.video]
         images = [path for path in names if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file()]
         if len(images) != 1:
-            return self.video
+            return self._undistorted()
         (image,) = images
         twice = files.folder_inside(self.folder, "image") / self.video.stem
         twice.mkdir(parents=True, exist_ok=True)
@@ -256,6 +277,15 @@ class Draft(Command):
             files.write_bytes(twice / f"{name}{image.suffix}", files.read_bytes(image))
         print_note("a single image: it is taken twice; nothing is known of motion")
         return twice
+
+    def _undistorted(self) -> Path:
+        """Return the footage or, where the calibrated lens distorts, images without distortion."""
+        if (rig := self.views.rig) is None:
+            return self.video
+        from getagrip.readers.video import size_and_rate
+
+        _, removal, _ = rig.undistortion(rig.own, size_and_rate(self.video, None)[0])
+        return self.video if removal is None else write_undistorted(self.video, removal, self.folder)
 
     def _grasps(
         self, stretch: VideoInterval, found: DetectedHands, labels: DrawnLabels, shape: RequestedMesh, video: Path
@@ -276,7 +306,7 @@ class Draft(Command):
             print_note(grasps.said)
         return grasps
 
-    def _drawn(self, stretch: VideoInterval, found: DetectedHands) -> dict[int, FrameLabels]:
+    def drawn(self, stretch: VideoInterval, found: DetectedHands) -> dict[int, FrameLabels]:
         """Return what is known of the object: masks that are given, or what stands out in the box. Raises as run."""
         from getagrip.cli.draft_inputs import read_mask_polygons, run_draft_estimator
         from getagrip.io.terminal import progress_bar
@@ -352,8 +382,14 @@ class Draft(Command):
             if not (solved and is_assumed(source)):
                 print_note(f"{key}: {source}")
 
-    @property
-    def _lens(self) -> Lens:
+    @cached_property
+    def lens_stated(self) -> Lens:
+        """The camera: as stated or calibrated, else a guess. Raises ``InputError`` and ``UsageError``."""
+        if (rig := self.views.rig) is not None:
+            from getagrip.cli.draft_views import lens_of_K
+            from getagrip.readers.video import size_and_rate
+
+            return lens_of_K(rig.rig.K_and_lens(rig.own, size_and_rate(self.video, None)[0])[0])
         return self.lens if self.lens.is_set else Lens(guess_focal=True)
 
     def _interval(self, footage: Footage) -> tuple[int, int]:
@@ -366,7 +402,7 @@ class Draft(Command):
             raise UsageError(f"--interval must be {allowed} (got {first} {last})")
         return first - 1, last - 1
 
-    def _stretch(self, footage: Footage) -> VideoInterval:
+    def stretch(self, footage: Footage) -> VideoInterval:
         """Return the interval and its camera. Raises ``UsageError``, also for a box beside the image."""
         from getagrip.cli.draft_inputs import VideoInterval
         from getagrip.cli.import_hands import HandFile, camera_of
@@ -376,7 +412,7 @@ class Draft(Command):
             box_to_slices(self.object_box, footage.size)
         of_file = self.hands is not None and self.hands_from is None and Path(self.hands).suffix == ".npz"
         own = HandFile.of(Path(self.hands)) if of_file and self.hands is not None else None
-        lens = self.lens if own is not None and own.K is not None else self._lens
+        lens = self.lens if own is not None and own.K is not None else self.lens_stated
         return VideoInterval(footage, *self._interval(footage), *camera_of(lens, own, footage.size))
 
     def _find(self, stretch: VideoInterval) -> DetectedHands:

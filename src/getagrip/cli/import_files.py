@@ -23,13 +23,14 @@ from getagrip.clip.depth import DEPTH_KEY, check_depth_shape
 from getagrip.clip.match_frames import check_frame_numbers, matching_names, renumber_frames, stem_of
 from getagrip.clip.read import STATED_BY_USER, ClipHeader, SegmentList, parse_world, read_header
 from getagrip.clip.read_arrays import check_intrinsics
+from getagrip.clip.views import VIEWS_KEY, ViewHeader, find_view
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays, files
 from getagrip.io.images import read_mask, write_mask
 from getagrip.io.options import Flag, one_of
 from getagrip.io.terminal import NullOutput, collect_warnings, format_count, print_note, print_result, warn
 from getagrip.provenance import Source, assumed, estimated, measured, report_source
-from getagrip.readers.cameras import CameraPath, read_camera_path
+from getagrip.readers.cameras import CameraPath, holds_rig_only, read_camera_path
 from getagrip.readers.depth_files import (
     DEPTH_FORMATS,
     DepthReader,
@@ -79,6 +80,18 @@ class NumberedFrames(NamedTuple):
         return NumberedFrames(renumber_frames(frames, first, option), "", True)
 
 
+ViewName = Annotated[
+    str | None,
+    arg(metavar="NAME", help="Import into this view of the clip, a further camera's.", help_behavior_hint=""),
+]
+
+
+def read_clip_or_view(clip: Path, view: str | None) -> ClipHeader | ViewHeader:
+    """Read the header of a clip, or of a view of it. Raises ``InputError`` and ``UsageError``."""
+    header = read_header(clip)
+    return header if view is None else find_view(header.folder, view)
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImportMasks(Command):
     """Add masks from files to a clip.
@@ -107,6 +120,7 @@ class ImportMasks(Command):
     """Folder (take1) or pattern of names (cam1_*) of the images to use, if there are several for a frame."""
     stretched: Flag = False
     """The masks are of images that were stretched to another shape, as Roboflow's resize does."""
+    view: ViewName = None
     overwrite: Flag = False
     """Replace masks that are there already."""
 
@@ -124,21 +138,22 @@ class ImportMasks(Command):
             def of_clip(source: Path, clip: Path) -> ImportMasks:
                 return replace(self, path=source, clip=clip, clips=None)
 
-            return import_many(self.path, self.clips, "masks", self.overwrite, of_clip, self.debug)
+            target = "masks" if self.view is None else f"{VIEWS_KEY}/{self.view}/masks"
+            return import_many(self.path, self.clips, target, self.overwrite, of_clip, self.debug)
         assert self.clip is not None
-        header = read_header(self.clip)
-        target = header.folder / "masks"
-        refuse_existing(target, self.overwrite)
+        header = read_clip_or_view(self.clip, self.view)
+        place = header.folder / "masks"
+        refuse_existing(place, self.overwrite)
         names, ask_first, counted = NumberedFrames.of(header.frames, self.first)
         labels = self.object, self.ignore, self.hand
         request = MaskRequest(names, header.size, *labels, ask_first, counted, self.images, stretched=self.stretched)
         reader = open_masks(self.path, request)
         whence = header.fields["provenance"] | {"masks": masks_provenance(self.path, *labels, self.images)}
-        with files.new_folder(target, ("object",) if self.overwrite else ()) as new:
+        with files.new_folder(place, ("object",) if self.overwrite else ()) as new:
             visible = write_reader_masks(reader, header.frames, new)
-            with files.new_file(header.folder / "clip.json") as part:
+            with files.new_file(header.path) as part:
                 files.write_json(part, header.changed({"provenance": whence}))
-        print_result(f"{target}: the object is visible in {visible} of {len(names)} frames")
+        print_result(f"{place}: the object is visible in {visible} of {len(names)} frames")
         return report_masks(reader, header.frames, visible)
 
 
@@ -210,6 +225,7 @@ class ImportDepth(Command):
     """The number that the files give to the first frame, if they count from another start."""
     images: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: all)")] = ""
     """Folder or pattern of names (cam1_*) of the files to use, if there are several for a frame."""
+    view: ViewName = None
     overwrite: Flag = False
     """Replace depth that is there already."""
 
@@ -218,7 +234,7 @@ class ImportDepth(Command):
 
         Raises ``InputError``, and ``UsageError`` for a clip that has depth already.
         """
-        header = read_header(self.clip)
+        header = read_clip_or_view(self.clip, self.view)
         target = header.folder / DEPTH_KEY
         refuse_existing(target, self.overwrite)
         frames, ask_first, counted = NumberedFrames.of(header.frames, self.first)
@@ -238,7 +254,7 @@ class ImportDepth(Command):
         return WARNING_EXIT_STATUS if warnings else 0
 
 
-def _read_depth_masks(header: ClipHeader, reader: DepthReader) -> dict[int, tuple[ndarray, ndarray]]:
+def _read_depth_masks(header: ClipHeader | ViewHeader, reader: DepthReader) -> dict[int, tuple[ndarray, ndarray]]:
     """Read the object's mask and the ignore mask in some frames that have a mask and depth."""
     found = dict[int, tuple[ndarray, ndarray]]()
     masks = header.folder / "masks"
@@ -252,10 +268,11 @@ def _read_depth_masks(header: ClipHeader, reader: DepthReader) -> dict[int, tupl
 
 @dataclass(frozen=True, kw_only=True)
 class ImportCameras(Command):
-    """Add the camera's path to a clip.
+    """Add the camera's path to a clip, or a calibration of several cameras to its views.
 
     Recognised by their files: COLMAP, EPIC-Fields, nerfstudio, ViPE, MegaSaM, DROID-SLAM, HaWoR, ARKit (3D Scanner
-    App), Record3D, Aria MPS, TUM, EuRoC and KITTI lines.
+    App), Record3D, Aria MPS, TUM, EuRoC and KITTI lines; of several cameras, COLMAP, Kalibr, OpenCV, nerfstudio, DexYCB
+    and a JSON by names (docs/views.md).
     """
 
     path: Annotated[Positional[Path], arg(metavar="PATH")]
@@ -274,6 +291,12 @@ class ImportCameras(Command):
     """Metres of a unit of length, for files whose scale is arbitrary."""
     intrinsics: Flag = False
     """Take the intrinsics, too. Hands that are there already were placed with the old ones: import them again."""
+    camera: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="(default: the one that is no view)")] = None
+    """The clip's own camera in a calibration of several: all views of the clip get their intrinsics and poses from it,
+    by their names."""
+    view: ViewName = None
+    undistorted: Flag = False
+    """For views: their images are without the lens's distortion already."""
     overwrite: Flag = False
     """Replace the path that is there already."""
 
@@ -282,6 +305,16 @@ class ImportCameras(Command):
 
         Raises ``InputError``, and ``UsageError`` for a clip that has a path already.
         """
+        if self.camera is not None or self.view is not None or holds_rig_only(self.path):
+            from getagrip.cli.import_views import import_rig
+
+            used = {"first": self.first, "start": self.start, "images": self.images, "quaternion": self.quaternion}
+            if (other := next((key for key, value in used.items() if value not in (None, "")), None)) is not None:
+                raise UsageError(f"--{other} cannot be used with {self.path}, a calibration of several cameras")
+            to = self.camera, self.view, self.metres
+            return import_rig(self.path, self.clip, *to, self.undistorted, self.intrinsics)
+        if self.undistorted:
+            raise UsageError("missing --camera: --undistorted is for a calibration of several cameras")
         header = read_header(self.clip)
         if "T_world_cam" in header.fields["camera"] and not self.overwrite:
             raise UsageError(f"{header.folder}: has camera.T_world_cam already; --overwrite replaces it")

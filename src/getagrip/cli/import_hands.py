@@ -18,10 +18,11 @@ from tyro.conf import Positional, arg
 
 from getagrip.checks.intrinsics import camera_warning, compute_intrinsics
 from getagrip.cli.command import WARNING_EXIT_STATUS, Command, FirstNumber, OptionalSide, refuse_existing
-from getagrip.cli.import_files import NumberedFrames, import_many
+from getagrip.cli.import_files import NumberedFrames, ViewName, import_many
 from getagrip.clip.match_frames import check_frame_numbers, number_of
 from getagrip.clip.read import ClipHeader, read_header
 from getagrip.clip.read_arrays import OTHER_HAND_FILE, check_in_view, check_intrinsics, frames_with_hand, read_hand
+from getagrip.clip.views import find_view
 from getagrip.clip.write import FRAMES_WITHOUT_HAND, missing_hand_provenance, write_hand, write_hand_at
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.lens import Lens
@@ -161,6 +162,7 @@ class ImportHands(Command):
     other_hand: Flag = False
     """With --clip: import the hand of the other side, which holds the object in some of a timeline's grasps. Frames may
     lack it."""
+    view: ViewName = None
     overwrite: Flag = False
     """Replace hands that are there already."""
 
@@ -186,6 +188,8 @@ class ImportHands(Command):
             raise UsageError("missing --clip: --other-hand is the hand of the other side than the clip's")
         if not self.paths:
             raise UsageError("missing FILE: name the estimator's files")
+        if self.view is not None and (self.clip is None or self.other_hand or self.hold_ends):
+            raise UsageError("--view takes 2D joints of the clip's hand into a view of --clip, and no other option")
         given = [f"--{name}" for name in ("clip", "clips", "out") if getattr(self, name) is not None]
         if len(given) > 1:
             raise UsageError(f"{given[0]} cannot be used with {given[1]}")
@@ -197,6 +201,8 @@ class ImportHands(Command):
             raise UsageError("missing --clip or --out")
         if self.new.stated:
             raise UsageError("--side, --frames, --size, --K cannot be used with --clip, which has them")
+        if self.view is not None:
+            return self._into_view(self.clip, self.view)
         return self._other_into_clip(self.clip) if self.other_hand else self._into_clip(self.clip)
 
     def _into_clips(self, clips: Path) -> int:
@@ -232,6 +238,17 @@ class ImportHands(Command):
         _print_hand_sources(hands, header.frames)
         print_result(str(target))
         return _exit_status(header.K, header.size, _hand_warnings(hands, len(header.frames)))
+
+    def _into_view(self, folder: Path, name: str) -> int:
+        """Add the joints of the hand in a view's images. Raises ``InputError`` for files without any."""
+        from getagrip.cli.import_views import write_imported_joints
+
+        header = read_header(folder)
+        view = find_view(header.folder, name)
+        hands = read_tracked_hands(
+            self.paths, self.tracker, self._request(header.fields["side"], view.frames, view.K, view.size)
+        )
+        return write_imported_joints(self.paths[0], hands, view, self.overwrite)
 
     def _other_into_clip(self, folder: Path) -> int:
         """Add ``other_hand.npz`` to a clip's folder, in the frames in which the other hand was found.

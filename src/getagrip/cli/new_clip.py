@@ -7,7 +7,7 @@ Missing inputs are listed with instructions. The mesh comes from a file, or is a
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from getagrip.cli.command import WARNING_EXIT_STATUS, Command, FirstNumber, Labels, OptionalSide, refuse_existing
+from getagrip.cli.view_options import NewView, ViewOptions
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.lens import Distortion, Lens
 from getagrip.io import files
@@ -38,6 +39,8 @@ MIN_PART_SIZE_FRACTION = 0.05
 """Size, as a fraction of the mesh's, below which a separate part is debris."""
 FREE_SCALE_SIZE_M = 0.1
 """Largest side of a mesh of free scale whose own size in metres is implausible for a hand-held object [m]."""
+CAMERA_TOLERANCE = 0.02
+"""Relative difference of intrinsics up to which two cameras are the same."""
 MAX_CLIP_FRAMES = 20_000
 """Maximum number of frames of a clip: minutes."""
 MISSING_OPTION_HINTS = {
@@ -57,6 +60,8 @@ NEXT_STEP_HINTS = {
     "getagrip annotate {video} --out DIR (docs/annotate.md)",
     "hands": "run an estimator on {out}/frames (docs/estimators.md); then getagrip import hands FILE... --from ... "
     "--clip {out}. Without an estimator: click joints in getagrip annotate {video} --out DIR (docs/annotate.md)",
+    "view": "masks of view {view}: any segmentation of {out}/views/{view}/frames; then getagrip import masks PATH "
+    "--object LABEL --hand LABEL --clip {out} --view {view}",
 }
 """Instructions for inputs that can be added later; the page of ``annotate`` makes both at once."""
 
@@ -311,6 +316,7 @@ class NewClip(Command):
     lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
     """The camera. Not needed if the hand file has it."""
     distorted: Annotated[Distortion, arg(name="")] = field(default_factory=Distortion)
+    views: Annotated[ViewOptions, arg(name="")] = field(default_factory=ViewOptions)
     images: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: all)")] = ""
     """Pattern of names of the images to use (rgb_*), if a folder has several sets of them."""
     fps: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="(default: 30)")] = None
@@ -338,10 +344,14 @@ class NewClip(Command):
         refuse_existing(self.out, self.overwrite)
         if not files.is_portable_name(self.out.name):
             raise UsageError(f"--out must be a folder whose name can be the clip's (got {self.out})")
+        if self.views.view and (self.lens.is_set or self.distorted.distortion):
+            used = "distortion" if self.distorted.distortion else "K, --focal or --guess-focal"
+            raise UsageError(f"--{used} cannot be used with --cameras, which has the camera of the clip")
+        rig = self.views.rig
         size, fps = size_and_rate(self.video, self.fps, self.images)
         print(f"video: {size[0]} x {size[1]}, {fps:.6g} frames per second")
         hands = None if self.hands is None else HandFile.of(self.hands)
-        camera_known = self.lens.is_set or (hands is not None and hands.K is not None)
+        camera_known = self.lens.is_set or rig is not None or (hands is not None and hands.K is not None)
         required = {
             "interval": self.interval,
             "side": self.side,
@@ -356,10 +366,18 @@ class NewClip(Command):
         numbers = _interval_frame_numbers(self.interval)
         footage = footage_interval(self.video, numbers, size, fps, self.fps is not None, self.images)
         names = footage.names
-        K, camera = camera_of(self.lens, hands, size)
-        images, camera = footage.images(), replace(camera, text=camera.text + self.distorted.words)
-        if self.distorted.words:
-            images = map(self.distorted.removal(K, size), images)
+        if rig is None:
+            K, camera = camera_of(self.lens, hands, size)
+            undistort = self.distorted.removal(K, size) if self.distorted.words else None
+            words = self.distorted.words
+        else:
+            camera = rig.source(rig.own)
+            K, undistort, words = rig.undistortion(rig.own, size)
+            if hands is not None and hands.K is not None and not np.allclose(hands.K, K, rtol=CAMERA_TOLERANCE):
+                warn(f"{hands.path}: hands of another camera than {rig.own.name}: focal length {hands.K[0, 0]:.5g} px")
+        views = NewView.all_of(self.views, footage)
+        images, camera = footage.images(), replace(camera, text=camera.text + words)
+        images = images if undistort is None else map(undistort, images)
         found = read_own_mesh(self.shape)
         found_hands = None if hands is None else hands.at(names, self.side, self.hand_first)
         of_hands: Provenance = {"hands": "none yet"}
@@ -390,7 +408,7 @@ class NewClip(Command):
         )
         clip = add_segments(clip, _read_new_segments(self, self.out))
         reader = None if self.masks is None else _open_clip_masks(self, names, size)
-        visible = _write_new_clip(clip, found_hands, images, reader, self.out, self.overwrite)
+        visible = _write_new_clip(clip, found_hands, images, reader, views, self.out, self.overwrite)
         unsure = report_masks(reader, clip.frames, visible) if reader else 0
         return _print_new_clip(clip, self, found_hands, self.out) or unsure
 
@@ -451,10 +469,11 @@ def _write_new_clip(
     hands: TrackedHands | None,
     images: Iterator[UInt8[ndarray, "H W 3"]],
     masks: MaskReader | None,
+    views: Sequence[NewView],
     out: Path,
     overwrite: bool,
 ) -> int:
-    """Write the clip with its images and masks, one at a time, and read it again, so that a written clip is valid.
+    """Write the clip with its images, masks and views, one at a time, and read it again: a written clip is valid.
 
     Returns the number of frames whose masks show the object.
     """
@@ -466,6 +485,8 @@ def _write_new_clip(
         write_clip_contents(new, replace(clip, folder=None), None, images)  # an older clip may be in its folder
         if masks:
             visible = write_reader_masks(masks, clip.frames, new / "masks")
+        for view in views:
+            view.write(new, clip.frames)
         if hands:
             write_hand_at(hands.track, clip.frames, hands.found, new / "hand.npz")
             _check_written_clip(new, masks is not None, out)
@@ -503,5 +524,8 @@ def _print_new_clip(clip: Clip, new: NewClip, hands: TrackedHands | None, out: P
     missing = [key for key, path in (("masks", new.masks), ("hands", new.hands)) if path is None]
     for key in missing:
         print(f"missing: {key}: {NEXT_STEP_HINTS[key].format(out=out, video=new.video)}", file=sys.stderr)
+    for view in new.views.names:
+        print(f"missing: {NEXT_STEP_HINTS['view'].format(out=out, view=view)}", file=sys.stderr)
+    missing += new.views.names
     few_hands = hands is not None and 2 * len(hands.found) < len(clip)
     return WARNING_EXIT_STATUS if missing or warning or few_hands else 0

@@ -213,6 +213,11 @@ class ClipHeader:
     K: Float[ndarray, "T 3 3"]
 
     @property
+    def path(self) -> Path:
+        """The file."""
+        return self.folder / "clip.json"
+
+    @property
     def times(self) -> Float[ndarray, "T"]:
         """(T,) times of the frames [s]: as stated, or by the frames' numbers at the clip's rate."""
         if "times" in self.fields:

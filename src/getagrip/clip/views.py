@@ -8,9 +8,10 @@ first one; poses of the other cameras are in its frame.
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -28,10 +29,12 @@ from getagrip.clip.masks import (
 from getagrip.clip.read import parse_frame_names, parse_image_size, parse_intrinsics, parse_matrices
 from getagrip.clip.read_arrays import check_camera_poses, parse_joints_2d
 from getagrip.clip.write import collapse_constant
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import InputError, UsageError, unknown_choice_error
 from getagrip.geometry import se3
 from getagrip.io import arrays, files
 from getagrip.io.array_data import ArrayData, check_finite
+from getagrip.io.files import Json
+from getagrip.io.images import PackedMask, PackedMasks
 from getagrip.provenance import Provenance, parse_provenance
 
 VIEWS_KEY = "views"
@@ -195,12 +198,16 @@ def from_best_view(clip: Clip) -> tuple[Clip, View | None]:
 
 
 def view_folders(folder: Path) -> list[Path]:
-    """List the folders of views in a clip's folder, by name. Raises ``InputError`` for too many."""
-    top = folder / VIEWS_KEY
-    found = files.folders_in(top) if top.is_dir() else []
+    """List the folders of views in a clip's folder, by name. Raises ``InputError``, as for too many."""
+    top, what = folder / VIEWS_KEY, "the description of a view"
+    if not os.path.lexists(top):
+        return []
+    if not top.is_dir():
+        raise InputError(top, "", "no folder", "a folder of views")
+    found = sorted(path.name for path in top.iterdir() if not path.name.startswith("."))
     if len(found) > MAX_VIEWS:
         raise InputError(top, "", f"{len(found)} views", f"at most {MAX_VIEWS}")
-    return found
+    return [files.inside(folder, f"{VIEWS_KEY}/{name}/{VIEW_FILE}", "", what).parent for name in found]
 
 
 def view_files(folder: Path, frames: Sequence[str]) -> list[str]:
@@ -222,9 +229,87 @@ def read_views(clip: Clip) -> Views | None:
     return Views(tuple(found)) if found else None
 
 
+def find_cameras(clip: Clip) -> tuple[View, ...]:
+    """Return the further views of a clip: those in memory, else the cameras in its folder, whose masks are unknown.
+
+    ``masks_in_view`` reads the masks where they are needed. Raises ``InputError``.
+    """
+    if VIEWS_KEY in clip.evidence or clip.folder is None:
+        return views_of(clip)
+    return tuple(_read_camera(clip, folder).view for folder in view_folders(clip.folder))
+
+
+def masks_in_view(seen: Clip, view: View) -> Masks | None:
+    """Return the masks of a view, at the frames of ``seen``, the clip as it sees it; None without a folder of masks.
+
+    They are in memory or in the view's folder (``find_cameras``). Raises ``InputError``.
+    """
+    return view.masks if view.masks.known.any() else read_available_masks(seen)
+
+
 def read_view(clip: Clip, folder: Path) -> View:
     """Read and check one view of a clip from its folder, at the clip's frames. Raises ``InputError``."""
-    path = files.inside(folder.parents[1], f"{VIEWS_KEY}/{folder.name}/{VIEW_FILE}", "", "the description of a view")
+    view, n_frames, rows, known = _read_camera(clip, folder)
+    seen = replace(clip_in_view(clip, view), evidence={})
+    if (masks := read_available_masks(seen, with_hand=True)) is not None:
+        view = replace(view, masks=masks)
+    if os.path.lexists(folder / JOINTS_FILE):
+        stored = arrays.read(
+            files.inside(folder, JOINTS_FILE, "", "joints of the hand in the view"),
+            lambda key: key.startswith("joints_2d"),
+        )
+        points, confidence = parse_joints_2d(folder / JOINTS_FILE, stored, n_frames)
+        confidence = np.where(known[:, None], confidence[rows], 0.0)
+        view = replace(view, joints_2d=points[rows], joints_2d_confidence=confidence)
+    depth = read_depth(with_masks(seen, view.masks)) if view.masks.observed.any() else None
+    return replace(view, depth=depth)
+
+
+@dataclass(frozen=True)
+class ViewHeader:
+    """The checked content of ``view.json``, at the n frames that the view has; its masks and depth are not read.
+
+    Attributes:
+        folder: the view's folder.
+        fields: the content.
+        frames: names of its frames, as the clip's.
+        size: width and height of its images [px].
+        K: (n, 3, 3) intrinsics [px].
+        T_cam_view: (n, 4, 4) pose of its camera in the clip's camera frame [m].
+        time_offset: time of its images after the clip's [s].
+    """
+
+    folder: Path
+    fields: Json
+    frames: tuple[str, ...]
+    size: tuple[int, int]
+    K: Float[ndarray, "n 3 3"]
+    T_cam_view: Float[ndarray, "n 4 4"]
+    time_offset: float
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.folder / VIEW_FILE
+
+    def changed(self, new: Mapping[str, object]) -> Json:
+        """Return the content of ``view.json`` with ``new`` fields."""
+        return {**self.fields, **new}
+
+
+def find_view(clip: Path, name: str) -> ViewHeader:
+    """Read the header of a view in a clip's folder. Raises ``InputError``, and ``UsageError`` for an unknown view."""
+    found = {folder.name: folder for folder in view_folders(clip)}
+    if not found:
+        raise UsageError(f"--view cannot be used with {clip}: it has no views; clip new --view makes them")
+    if name not in found:
+        raise unknown_choice_error("--view", name, found)
+    return read_view_header(found[name])
+
+
+def read_view_header(folder: Path) -> ViewHeader:
+    """Read and check the description of a view in its folder. Raises ``InputError``."""
+    path = files.inside(folder, VIEW_FILE, "", "the description of a view")
     fields = files.read_json(path)
     unknown = next((key for key in fields if key not in VIEW_KEYS), None)
     if unknown is not None:
@@ -242,27 +327,38 @@ def read_view(clip: Clip, folder: Path) -> View:
     K = parse_intrinsics(path, camera, len(frames), size)
     T = parse_matrices(path, "camera.T_cam_view", camera["T_cam_view"], 4, len(frames))
     check_camera_poses(path, T, frames, "camera.T_cam_view")
+    stated = fields.get("provenance", {})
+    if not isinstance(stated, dict):
+        raise InputError(path, "provenance", files.shorten_value(stated), "an object")
+    fields = {**fields, "provenance": parse_provenance(path, stated, 4)}
+    return ViewHeader(folder, fields, tuple(frames), size, K, T, float(offset))
+
+
+class _Camera(NamedTuple):
+    """A view whose pixels are not read."""
+
+    view: View
+    n_frames: int
+    """Number of its own frames."""
+    rows: Int[ndarray, "T"]
+    """Own frame of each of the clip's, or the nearest one."""
+    known: Bool[ndarray, "T"]
+    """True in the clip's frames that it has."""
+
+
+def _read_camera(clip: Clip, folder: Path) -> _Camera:
+    """Read and check the camera of a view. Raises ``InputError``."""
+    about = read_view_header(folder)
+    frames, size = about.frames, about.size
     place = {name: n for n, name in enumerate(frames)}
     known = np.array([name in place for name in clip.frames])
     rows = _nearest_known(np.array([place.get(name, 0) for name in clip.frames]), known)
     view = View(
-        name=folder.name, size=size, K=K[rows], T_cam_view=T[rows], masks=_unknown_masks(len(clip), size),
-        time_offset=float(offset), folder=folder,
-        provenance=parse_provenance(path, fields.get("provenance", {}), 4),
+        name=folder.name, size=size, K=about.K[rows], T_cam_view=about.T_cam_view[rows],
+        masks=_unknown_masks(len(clip), size), time_offset=about.time_offset, folder=folder,
+        provenance=about.fields["provenance"],
     )  # fmt: skip
-    seen = replace(clip_in_view(clip, view), evidence={})
-    if (masks := read_available_masks(seen, with_hand=True)) is not None:
-        view = replace(view, masks=masks)
-    if os.path.lexists(folder / JOINTS_FILE):
-        stored = arrays.read(
-            files.inside(folder, JOINTS_FILE, "", "joints of the hand in the view"),
-            lambda key: key.startswith("joints_2d"),
-        )
-        points, confidence = parse_joints_2d(folder / JOINTS_FILE, stored, len(frames))
-        confidence = np.where(known[:, None], confidence[rows], 0.0)
-        view = replace(view, joints_2d=points[rows], joints_2d_confidence=confidence)
-    depth = read_depth(with_masks(seen, view.masks)) if view.masks.observed.any() else None
-    return replace(view, depth=depth)
+    return _Camera(view, len(frames), rows, known)
 
 
 def _nearest_known(rows: Int[ndarray, "T"], known: Bool[ndarray, "T"]) -> Int[ndarray, "T"]:
@@ -276,17 +372,30 @@ def _nearest_known(rows: Int[ndarray, "T"], known: Bool[ndarray, "T"]) -> Int[nd
 
 def _unknown_masks(frames: int, size: tuple[int, int]) -> Masks:
     """Make masks that say nothing in any frame."""
-    nothing = np.zeros((frames, size[1], size[0]), dtype=bool)
-    return Masks(nothing, ~nothing)
+    nothing, everything = (make(size[::-1]) for make in (PackedMask.empty, PackedMask.full))
+    return Masks(*(PackedMasks([each] * frames, size[::-1]).as_array() for each in (nothing, everything)))
+
+
+def write_view_header(
+    folder: Path, frames: Sequence[str], size: tuple[int, int], K: Float[ndarray, "n 3 3"],
+    T_cam_view: Float[ndarray, "n 4 4"], time_offset: float, provenance: Provenance,
+) -> None:  # fmt: skip
+    """Write the description of a view of some of a clip's frames into the view's folder."""
+    camera = {"K": collapse_constant(K), "T_cam_view": collapse_constant(T_cam_view)}
+    about: Json = {"version": VIEW_FORMAT_VERSION, "frames": frames, "size": size, "camera": camera}
+    about |= {"time_offset": time_offset} if time_offset else {}
+    files.write_json(folder / VIEW_FILE, {**about, "provenance": provenance})
+
+
+def write_view_joints(path: Path, points: Float[ndarray, "n 21 2"], confidence: Float[ndarray, "n 21"]) -> None:
+    """Write the hand's joints in a view's n frames [px] to ``joints.npz``."""
+    arrays.write(path, {"joints_2d": points, "joints_2d_confidence": confidence})
 
 
 def write_view(view: View, clip: Clip, folder: Path) -> None:
     """Write a view of a clip into ``views/NAME`` of the clip's new folder."""
     to = files.folder_inside(folder, VIEWS_KEY, view.name)
-    camera = {"K": collapse_constant(view.K), "T_cam_view": collapse_constant(view.T_cam_view)}
-    about = {"version": VIEW_FORMAT_VERSION, "frames": clip.frames, "size": view.size, "camera": camera}
-    about |= {"time_offset": view.time_offset} if view.time_offset else {}
-    files.write_json(to / VIEW_FILE, {**about, "provenance": view.provenance})
+    write_view_header(to, clip.frames, view.size, view.K, view.T_cam_view, view.time_offset, view.provenance)
     masks = view.masks
     if masks.known.any():
         write_masks(masks.object, masks.known, clip.frames, to / "masks" / "object")
@@ -295,7 +404,6 @@ def write_view(view: View, clip: Clip, folder: Path) -> None:
         if masks.hand is not None:
             write_masks(masks.hand, masks.known, clip.frames, to / "masks" / "hand")
     if view.joints_2d is not None and view.joints_2d_confidence is not None:
-        seen = {"joints_2d": view.joints_2d, "joints_2d_confidence": view.joints_2d_confidence}
-        arrays.write(to / JOINTS_FILE, seen)
+        write_view_joints(to / JOINTS_FILE, view.joints_2d, view.joints_2d_confidence)
     if view.depth is not None:
         write_clip_depth(clip_in_view(clip, view), view.depth, to)

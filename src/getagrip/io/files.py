@@ -132,6 +132,10 @@ def remove_stale_folders(parent: Path) -> list[Path]:
 Json = dict[str, Any]
 """A JSON object; its reader checks the values."""
 MAX_JSON_BYTES = 64 * 2**20
+MAX_YAML_BYTES = 2**18
+"""Maximum size of a YAML file: calibrations have a few kilobytes, and parsing is slow."""
+OPENCV_YAML_MARK = b"%YAML"
+"""Start of OpenCV's first line, ``%YAML:1.0``, which is no YAML."""
 MAX_FILE_BYTES = 2**30
 BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"), (codecs.BOM_UTF8, "utf-8"),
@@ -279,6 +283,35 @@ def read_any_json(path: Path, *, nan: bool = False) -> object:
         return value
     except (ValueError, RecursionError) as error:  # RecursionError: nested thousands deep
         raise InputError(path, "", f"invalid JSON ({error})", "JSON") from error
+
+
+def read_yaml(path: Path) -> dict[str, object]:
+    """Read a YAML mapping, such as OpenCV's. Raises ``InputError``.
+
+    Beside YAML's own types, only tuples of Python are allowed, for DexYCB, and OpenCV's matrices, as mappings. Aliases
+    are refused: by them a small file can unfold to a huge one.
+    """
+    import yaml
+
+    class Loader(yaml.SafeLoader):  # type: ignore[misc]
+        """YAML's own types, without aliases."""
+
+        def compose_node(self, parent: object, index: object) -> object:
+            if self.check_event(yaml.AliasEvent):
+                raise yaml.YAMLError("an alias")
+            return super().compose_node(parent, index)
+
+    Loader.add_constructor("tag:yaml.org,2002:python/tuple", Loader.construct_sequence)
+    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", lambda it, node: it.construct_mapping(node, deep=True))
+    content = strip_byte_order_mark(read_bytes(path, MAX_YAML_BYTES))
+    content = content.partition(b"\n")[2] if content.startswith(OPENCV_YAML_MARK) else content
+    try:
+        value = yaml.load(content, Loader)
+    except Exception as error:  # parsers of dates, numbers and truth values raise many kinds of errors
+        raise InputError(path, "", f"invalid plain YAML ({error})", "a YAML mapping") from error
+    if not isinstance(value, dict):
+        raise InputError(path, "", f"a YAML {type(value).__name__}", "a YAML mapping")
+    return value
 
 
 def write_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:

@@ -41,6 +41,7 @@ from getagrip.clip.match_frames import (
     stem_of,
 )
 from getagrip.clip.read import ClipHeader
+from getagrip.clip.views import ViewHeader
 from getagrip.errors import InputError, UsageError, unknown_choice_error
 from getagrip.io import arrays, files
 from getagrip.io.files import printable, shorten_value
@@ -286,14 +287,14 @@ MEDIAN_UINT16_DEPTH = 16384
 
 
 def add_depth(
-    header: ClipHeader,
+    header: ClipHeader | ViewHeader,
     reader: DepthReader,
     source: DepthSource,
     said: str,
     unit: float | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write ``depth/`` of a clip, and its source and provenance (``said``) into ``clip.json``. Raises ``InputError``.
+    """Write ``depth/`` of a clip or a view, its source and provenance (``said``) into its JSON. Raises ``InputError``.
 
     ``unit`` is the files' unit, where the user states it [m].
     """
@@ -302,7 +303,7 @@ def add_depth(
     whence = header.fields["provenance"] | {DEPTH_KEY: said}
     with files.new_folder(header.folder / DEPTH_KEY, there) as new:
         found = _write_depth_images(reader, header.frames, header.size, unit, new)
-        with files.new_file(header.folder / "clip.json") as part:
+        with files.new_file(header.path) as part:
             stored = depth_source_fields(replace(source, unit=found))
             files.write_json(part, header.changed({DEPTH_KEY: stored, "provenance": whence}))
 

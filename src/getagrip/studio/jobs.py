@@ -343,6 +343,10 @@ class DepthFiles:
         )
 
 
+AddViews: TypeAlias = Callable[[Path], str]
+"""Adds what further cameras see to a clip; returns what is to be known of it. Raises ``InputError``."""
+
+
 def parse_requested_mesh(content: Json) -> RequestedMesh:
     """Parse a request's mesh. Raises ``RefusedError``."""
     mesh, size = content.get("mesh"), content.get("size_mm")
@@ -381,6 +385,7 @@ def reconstruct_grasp_files(
     name: str,
     job: BackgroundJob,
     depth: DepthFiles | None = None,
+    views: AddViews | None = None,
 ) -> str:
     """Make the clip by ``new_clip`` with the mesh, and reconstruct it.
 
@@ -393,6 +398,7 @@ def reconstruct_grasp_files(
     steps: list[tuple[str, Callable[[], str]]] = [
         ("making the clip", lambda: job.run(make)),
         ("adding depth", lambda: lost if depth is None else depth.add_to(clip)),
+        ("adding views", lambda: "" if views is None else views(clip)),
         ("reconstructing", lambda: job.run(ReconstructCall(clip, result.parent))),
     ]
     said = []

@@ -76,6 +76,7 @@ class Labelling:
         """Write the files of grasps into ``out``; without a lens a grasp keeps its own, or it is assumed."""
         self.store, self.out = store, out
         self.depth: jobs.DepthFiles | None = None
+        self.views: jobs.AddViews | None = None
         self.stated_lens = lens
         self._found: dict[Path, HandDetectionFiles] = {}
         self._iou: dict[Path, tuple[int, dict[str, float]]] = {}  # time of a result, its IOU by the frames' names
@@ -242,7 +243,7 @@ class Labelling:
         made = self._make(grasp, value, job)
         confidence = made.confidence
         new_clip = new_clip_call(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
-        said = jobs.reconstruct_grasp_files(new_clip, shape, self.out, grasp.name, job, self.depth)
+        said = jobs.reconstruct_grasp_files(new_clip, shape, self.out, grasp.name, job, self.depth, self.views)
         result, number = jobs.result_folder(self.out, grasp.name), grasp.footage.number
         met = discount_confidence(confidence, self._iou_of_result(grasp), value.drawn)
         wanted = suggest_frame(met, value.drawn, *grasp.extent)

@@ -55,7 +55,10 @@ OCCLUDER_GAP_M = 0.008
 """Distance before the true surface at which what the sensor sees hides the object: half a finger [m]."""
 N_JOINT_COMPLETIONS = 5
 """Rounds in which unknown joints are replaced by those of the hand that is fitted to the known ones."""
-DRAFT_CODE = ("bench/pixels", "bench/sources/recording.py", "cli/draft.py", "cli/draft_inputs.py", "studio", "readers")
+DRAFT_CODE = (
+    "bench/pixels", "bench/sources/recording.py", "cli/draft.py", "cli/draft_inputs.py", "cli/draft_views.py", "studio",
+    "readers",
+)  # fmt: skip
 """Code, besides a reconstruction's, on which a draft and its errors depend."""
 CONTOUR_COLOURS = {"truth": (40, 200, 60), "result": (255, 120, 0)}
 """Colours of contours in pictures, red, green and blue."""
@@ -83,6 +86,10 @@ class DraftRequest:
     depth: Path | None = None
     depth_from: str | None = None
     models: Path | None = None
+    views: tuple[tuple[str, Path], ...] = ()
+    box_view: tuple[tuple[str, tuple[float, float, float, float]], ...] = ()
+    cameras: Path | None = None
+    camera: str | None = None
 
 
 @dataclass(frozen=True)
@@ -111,7 +118,16 @@ class RecordingTrial(Trial[RecordingScores]):
 
     def scores(self) -> RecordingScores:
         run = self.made
-        used = (*run.view.images, run.view.mesh, *run.view.depth, *([run.hand_file] if run.hand_file else []))
+        further = [image for view in run.others for image in view.images]
+        cameras = [run.view.cameras] if run.others and run.view.cameras is not None else []
+        used = (
+            *further,
+            *cameras,
+            *run.view.images,
+            run.view.mesh,
+            *run.view.depth,
+            *([run.hand_file] if run.hand_file else []),
+        )
         named = {str(n): path for n, path in enumerate(used)}
         truth = b"".join(array.tobytes() for array in (run.view.K, run.view.T_cam_obj, run.view.joints))
         of = {
@@ -213,9 +229,13 @@ def draft_request(run: RecordingRun, scene: TrueScene, inputs: Path) -> DraftReq
         write_hand(hand_of_joints(view.joints, run.side), hands, extra | sources)
     extent = 1e3 * float(np.ptp(scene.mesh.vertices, axis=0).max())
     K = view.K
+    others = {each.camera: each for each in run.others}
     return DraftRequest(
         view.video, view.mesh, extent, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), inputs.parent / "draft",
         scene.box() if run.masks == "box" else None, masks, hands, depth, form, run.models,
+        tuple((name, each.video) for name, each in others.items()),
+        tuple((name, TrueScene(each, scene.mesh).box()) for name, each in others.items()),
+        view.cameras if others else None, view.camera if others else None,
     )  # fmt: skip
 
 

@@ -55,6 +55,8 @@ class View:
         K: intrinsics [px].
         T_cam_obj: (T, 4, 4) true poses [m].
         joints: (T, 21, 3) true joints in the camera frame [m], NaN where unknown.
+        camera: name of its camera among ``cameras``.
+        cameras: file of the poses of all cameras; None for a single frame.
     """
 
     name: str
@@ -66,6 +68,8 @@ class View:
     K: Float[ndarray, "3 3"]
     T_cam_obj: Float[ndarray, "T 4 4"]
     joints: Float[ndarray, "T 21 3"]
+    camera: str = ""
+    cameras: Path | None = None
 
     @property
     def has_joints(self) -> bool:
@@ -79,9 +83,13 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingRun(Sample):
-    """A draft of a view: where its hands, masks and depth come from. The folder is the draft's."""
+    """A draft of a view: where its hands, masks and depth come from. The folder is the draft's.
+
+    ``others`` are further views of the same recording, each with a box as well.
+    """
 
     view: View
+    others: tuple[View, ...]
     hands: str
     masks: str
     depth: str
@@ -92,7 +100,8 @@ class RecordingRun(Sample):
     @property
     def way(self) -> tuple[str, str, str, str]:
         """View, and where hands, masks and depth come from."""
-        return self.view.name, self.hands, self.masks, self.depth
+        many = f" in {1 + len(self.others)} views" if self.others else ""
+        return self.view.name, self.hands, self.masks + many, self.depth
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,11 +124,15 @@ class Recording(ClipSource):
     """Masks: from a box, from three outlines, or the true ones in every frame."""
     depth: Annotated[tuple[Literal["none", "sensor"], ...], arg(help_behavior_hint="(default: both)")] = ()
     """Without depth, or with the sensor's."""
+    views: Annotated[tuple[int, ...], arg(metavar="N...", help_behavior_hint="(default: 1)")] = (1,)
+    """Numbers of cameras of a draft. With more than one, hands are found and masks come from a box in each."""
     models: OptionalFolder = None
     """Folder of the hand models (default: the cache; getagrip doctor --fetch hands)."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not self.views or not all(1 <= n <= MAX_VIEWS for n in self.views):
+            raise UsageError(f"--views must be 1 to {MAX_VIEWS} (got {', '.join(map(str, self.views))})")
         if self.split is not None:
             raise UsageError(f"--split {self.split} cannot be used with a recording, which has no splits")
 
@@ -134,15 +147,21 @@ class Recording(ClipSource):
         names = [view.name for view in views]
         if len({*names}) < len(names):
             raise UsageError(f"--root must be folders of different names (got {', '.join(names)})")
-        return [run for view in views for run in self._runs(view, clips)], []
+        return [run for view in views for count in self.views for run in self._runs(view, views, count, clips)], []
 
-    def _runs(self, view: View, clips: Path) -> list[Sample]:
+    def _runs(self, view: View, views: list[View], count: int, clips: Path) -> list[Sample]:
         known = [DRAFTED_HANDS, *([TRUTH_JOINTS] if view.has_joints else [])]
         depths = [each for each in self.depth or DEPTH_CHOICES if each == "none" or view.depth]
-        runs: list[Sample] = []
+        same = [one for one in views if one.cameras is not None and one.cameras == view.cameras]
+        after = [] if view not in same else [*same[same.index(view) + 1 :], *same[: same.index(view)]]
+        others, runs = tuple(after[: count - 1]), list[Sample]()
+        if len(others) < count - 1:
+            return []
         for hands, masks, depth in product(self.hands or known, self.masks or MASK_CHOICES, depths):
             source, _, folder = hands.partition("=")
             if hands == TRUTH_JOINTS and not view.has_joints:
+                continue
+            if others and (hands, masks) != (DRAFTED_HANDS, "box"):
                 continue
             if folder:
                 if not files.is_portable_name(source):
@@ -152,10 +171,10 @@ class Recording(ClipSource):
                 raise UsageError(f"--hands must be found, joints or NAME=DIR (got {hands!r})")
             if hands == TRUTH_JOINTS and self.side is None:
                 raise UsageError(f"missing --side: {view.name} has joints, and does not say of which hand")
-            name = f"{view.name}-{source}-{masks}-{depth}"
+            name = f"{view.name}-{source}-{masks}-{depth}" + (f"-{count}-views" if others else "")
             file = Path(folder) / f"{view.name}.npz" if folder else None
             run = RecordingRun(
-                name, clips / name, view=view, hands=source, masks=masks, depth=depth, hand_file=file,
+                name, clips / name, view=view, others=others, hands=source, masks=masks, depth=depth, hand_file=file,
                 side=self.side, models=self.models,
             )  # fmt: skip
             runs.append(run)
@@ -207,7 +226,9 @@ def read_views(root: Path, meshes: Path | None) -> list[View]:
             depth = tuple(files.inside(root, f"{name}/depth/{stem}.png", "", "depth of each image") for stem in stems)
         T_cam_world = se3.inverse(T_world_cam)
         at = T_cam_world @ poses[rows], se3.transform(T_cam_world, joints[rows].astype(float))
-        views.append(View(f"{root.resolve().name}-{name}", root / name / "color", stems, images, depth, mesh, K, *at))
+        views.append(
+            View(f"{root.resolve().name}-{name}", root / name / "color", stems, images, depth, mesh, K, *at, name, path)
+        )
     return views
 
 

@@ -15,6 +15,7 @@ from getagrip.clip.match_frames import frames_of, rows_in_order, rows_of_frames,
 from getagrip.clip.read_arrays import ASPECT_RATIO_TOLERANCE, check_shape
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
+from getagrip.geometry.lens import Distortion
 from getagrip.io.array_data import ArrayData
 
 MAX_POSE_GAP_S = 0.25
@@ -25,25 +26,39 @@ PRINCIPAL_POINT_SHAPE_TOLERANCE = 0.15
 """Maximum relative difference between twice the principal point and the image size."""
 
 
+NO_DISTORTION = Distortion()
+"""A lens without distortion."""
+
+
 class Pinhole(NamedTuple):
     """Intrinsics from another program.
 
     Attributes:
         K: (3, 3) pinhole intrinsics [px].
         size: width and height of the images [px]; None if not stated.
-        distorted: True if the camera model has non-zero distortion.
+        lens: the lens's distortion; None if its model is not OpenCV's.
     """
 
     K: Float[ndarray, "3 3"]
     size: tuple[int, int] | None
-    distorted: bool = False
+    lens: Distortion | None = NO_DISTORTION
 
     @staticmethod
     def of(
-        fx: float, fy: float, cx: float, cy: float, size: tuple[int, int] | None, distorted: bool = False
+        fx: float,
+        fy: float,
+        cx: float,
+        cy: float,
+        size: tuple[int, int] | None,
+        lens: Distortion | None = NO_DISTORTION,
     ) -> Pinhole:
         """Make a pinhole from focal lengths and principal point [px]."""
-        return Pinhole(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), size, distorted)
+        return Pinhole(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), size, lens)
+
+    @property
+    def distorted(self) -> bool:
+        """True if the camera's lens distorts its images."""
+        return self.lens is None or bool(self.lens.distortion)
 
     @property
     def is_possible(self) -> bool:

@@ -25,6 +25,7 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.geometry import se3
+from getagrip.geometry.lens import Distortion
 from getagrip.io import arrays, files
 from getagrip.io.files import Json, shorten_value
 from getagrip.readers.cameras.camera_path import CameraPath, Pinhole
@@ -151,8 +152,19 @@ def _pinhole_from_transforms(path: Path, content: Mapping[str, object]) -> Pinho
         return None
     middle = {"cx": 0.5 * size[0], "cy": 0.5 * size[1]} if size is not None else {}
     cx, cy = (float(_finite_array(path, middle | dict(content), key, ())) for key in ("cx", "cy"))
-    bent = any(content.get(key) for key in DISTORTION_KEYS) or "FISHEYE" in str(content.get("camera_model"))
-    return Pinhole.of(fx, fy, cx, cy, size, bent)
+    return Pinhole.of(fx, fy, cx, cy, size, _lens_from_transforms(path, content))
+
+
+def _lens_from_transforms(path: Path, content: Mapping[str, object]) -> Distortion | None:
+    """Return an image's distortion; None if its model is not OpenCV's, whose fourth radial coefficient divides."""
+    none = dict.fromkeys(DISTORTION_KEYS, 0.0)
+    k1, k2, k3, k4, p1, p2 = (float(_finite_array(path, none | dict(content), key, ())) for key in DISTORTION_KEYS)
+    model = str(content.get("camera_model"))
+    if "FISHEYE" in model:
+        return Distortion((k1, k2, k3, k4), True) if model == "OPENCV_FISHEYE" else None
+    if k4:
+        return None
+    return Distortion((k1, k2, p1, p2, k3)) if any((k1, k2, k3, p1, p2)) else Distortion()
 
 
 def _image_side(path: Path, content: Mapping[str, object], key: str) -> int:

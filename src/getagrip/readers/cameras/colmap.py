@@ -17,6 +17,7 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.geometry import se3
+from getagrip.geometry.lens import Distortion
 from getagrip.io import files
 from getagrip.io.files import printable
 from getagrip.readers.cameras.camera_path import CameraPath, Pinhole
@@ -36,6 +37,12 @@ SINGLE_FOCAL_MODELS = (
     "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_DIVISION",
     "SIMPLE_FISHEYE",
 )  # fmt: skip
+
+OPENCV_MODELS = (
+    "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE",
+    "SIMPLE_FISHEYE", "FISHEYE",
+)  # fmt: skip
+"""Models whose distortion has OpenCV's coefficients, in its order, the last ones left out."""
 
 
 class ColmapImage(NamedTuple):
@@ -113,9 +120,17 @@ def _pinhole_from_colmap(model: str, size: tuple[int, int], params: list[float])
         raise ValueError(f"a camera {printable(model)} of {len(params)} parameters")
     if model in SINGLE_FOCAL_MODELS:
         f, cx, cy, *rest = params
-        return Pinhole.of(f, f, cx, cy, size, any(rest) or "FISHEYE" in model)
+        return Pinhole.of(f, f, cx, cy, size, _lens_from_colmap(model, rest))
     fx, fy, cx, cy, *rest = params
-    return Pinhole.of(fx, fy, cx, cy, size, any(rest) or "FISHEYE" in model)
+    return Pinhole.of(fx, fy, cx, cy, size, _lens_from_colmap(model, rest))
+
+
+def _lens_from_colmap(model: str, rest: list[float]) -> Distortion | None:
+    """Return the distortion by the parameters after the pinhole's; None if its model is not OpenCV's."""
+    fisheye = "FISHEYE" in model
+    if not fisheye and not any(rest):
+        return Distortion()
+    return Distortion((*rest, *[0.0] * (4 - len(rest))), fisheye) if model in OPENCV_MODELS else None
 
 
 def _split_colmap_lines(text: str) -> Iterator[list[str]]:

@@ -29,11 +29,9 @@ from getagrip.geometry import se3
 from getagrip.hands.fit_joints import JOINT_ORDERS
 from getagrip.hands.model import Side
 from getagrip.io import arrays
-from getagrip.io.files import is_portable_name, list_files, printable, read_bytes, shorten_value
+from getagrip.io.files import is_portable_name, list_files, printable, read_yaml, shorten_value
 from getagrip.readers.datasets.tracks import MAX_SEQUENCE_FRAMES
 
-MAX_YAML_BYTES = 2**16
-"""Maximum size of a YAML file; DexYCB's have a few hundred bytes."""
 TABLE_TAG = "apriltag"
 """Name of the tag on the table, z up, in the extrinsics."""
 
@@ -62,28 +60,6 @@ def read_table_camera(path: Path, serial: str) -> Float[ndarray, "4 4"]:
         if not se3.is_rigid(T_master[key]):
             raise InputError(path, f"extrinsics.{key}", "a matrix that is not a rigid motion", "[R | t] in metres")
     return np.asarray(se3.inverse(T_master[TABLE_TAG]) @ T_master[serial])
-
-
-def read_yaml(path: Path) -> dict[str, object]:
-    """Read a YAML mapping; of Python's own types, only tuples are allowed, for DexYCB. Raises ``InputError``."""
-    import yaml
-
-    class Loader(yaml.SafeLoader):  # type: ignore[misc]
-        """YAML's own types and tuples, without aliases, by which a small file can unfold to a huge one."""
-
-        def compose_node(self, parent: object, index: object) -> object:
-            if self.check_event(yaml.AliasEvent):
-                raise yaml.YAMLError("an alias")
-            return super().compose_node(parent, index)
-
-    Loader.add_constructor("tag:yaml.org,2002:python/tuple", Loader.construct_sequence)
-    try:
-        content = yaml.load(read_bytes(path, MAX_YAML_BYTES), Loader)
-    except Exception as error:  # parsers of dates, numbers and truth values raise many kinds of errors
-        raise InputError(path, "", f"invalid plain YAML ({error})", "a YAML mapping") from error
-    if not isinstance(content, dict):
-        raise InputError(path, "", f"a YAML {type(content).__name__}", "a YAML mapping")
-    return content
 
 
 DEXYCB_IMAGE_SIZE_PX = (640, 480)
