@@ -11,6 +11,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -31,6 +32,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.io import arrays, files
 from getagrip.io.array_data import ArrayData, check_finite
+from getagrip.io.images import PackedMask, PackedMasks
 from getagrip.provenance import Provenance, parse_provenance
 
 VIEWS_KEY = "views"
@@ -160,14 +162,16 @@ def clip_in_view(clip: Clip, view: View) -> Clip:
 
 
 def view_folders(folder: Path) -> list[Path]:
-    """List the folders of views in a clip's folder, by name. Raises ``InputError`` for links, and for too many."""
-    if not os.path.lexists(folder / VIEWS_KEY):
+    """List the folders of views in a clip's folder, by name. Raises ``InputError``, as for too many."""
+    top, what = folder / VIEWS_KEY, "the description of a view"
+    if not os.path.lexists(top):
         return []
-    top = files.inside(folder, VIEWS_KEY, "", "a folder of views")
-    found = sorted(path for path in top.iterdir() if not path.name.startswith("."))
+    if not top.is_dir():
+        raise InputError(top, "", "no folder", "a folder of views")
+    found = sorted(path.name for path in top.iterdir() if not path.name.startswith("."))
     if len(found) > MAX_VIEWS:
         raise InputError(top, "", f"{len(found)} views", f"at most {MAX_VIEWS}")
-    return [files.inside(folder, f"{VIEWS_KEY}/{path.name}", "", "the folder of a view") for path in found]
+    return [files.inside(folder, f"{VIEWS_KEY}/{name}/{VIEW_FILE}", "", what).parent for name in found]
 
 
 def view_files(folder: Path, frames: Sequence[str]) -> list[str]:
@@ -189,8 +193,62 @@ def read_views(clip: Clip) -> Views | None:
     return Views(tuple(found)) if found else None
 
 
+def find_cameras(clip: Clip) -> tuple[View, ...]:
+    """Return the further views of a clip: those in memory, else the cameras in its folder, whose masks are unknown.
+
+    ``masks_in_view`` reads the masks where they are needed; views without any of the clip's frames are left out. Raises
+    ``InputError``.
+    """
+    if VIEWS_KEY in clip.evidence or clip.folder is None:
+        return views_of(clip)
+    each = (_read_camera(clip, folder) for folder in view_folders(clip.folder))
+    return tuple(camera.view for camera in each if camera is not None)
+
+
+def masks_in_view(seen: Clip, view: View) -> Masks | None:
+    """Return the masks of a view, at the frames of ``seen``, the clip as it sees it; None without a folder of masks.
+
+    They are in memory or in the view's folder (``find_cameras``). Raises ``InputError``.
+    """
+    return view.masks if view.masks.known.any() else read_available_masks(seen)
+
+
 def read_view(clip: Clip, folder: Path) -> View:
     """Read and check one view of a clip from its folder, at the clip's frames. Raises ``InputError``."""
+    camera = _read_camera(clip, folder)
+    if camera is None:
+        expected = f"frames of the clip, {clip.frames[0]} to {clip.frames[-1]}"
+        raise InputError(folder / VIEW_FILE, "frames", "none of the clip's", expected)
+    view, n_frames, rows, known = camera
+    seen = replace(clip_in_view(clip, view), evidence={})
+    if (masks := read_available_masks(seen, with_hand=True)) is not None:
+        view = replace(view, masks=masks)
+    if os.path.lexists(folder / JOINTS_FILE):
+        stored = arrays.read(
+            files.inside(folder, JOINTS_FILE, "", "joints of the hand in the view"),
+            lambda key: key.startswith("joints_2d"),
+        )
+        points, confidence = parse_joints_2d(folder / JOINTS_FILE, stored, n_frames)
+        confidence = np.where(known[:, None], confidence[rows], 0.0)
+        view = replace(view, joints_2d=points[rows], joints_2d_confidence=confidence)
+    depth = read_depth(with_masks(seen, view.masks)) if view.masks.observed.any() else None
+    return replace(view, depth=depth)
+
+
+class _Camera(NamedTuple):
+    """A view whose pixels are not read."""
+
+    view: View
+    n_frames: int
+    """Number of its own frames."""
+    rows: Int[ndarray, "T"]
+    """Own frame of each of the clip's, or the nearest one."""
+    known: Bool[ndarray, "T"]
+    """True in the clip's frames that it has."""
+
+
+def _read_camera(clip: Clip, folder: Path) -> _Camera | None:
+    """Read and check the camera of a view; None if the view has none of the clip's frames. Raises ``InputError``."""
     path = files.inside(folder, VIEW_FILE, "", "the description of a view")
     fields = files.read_json(path)
     unknown = next((key for key in fields if key not in VIEW_KEYS), None)
@@ -212,27 +270,14 @@ def read_view(clip: Clip, folder: Path) -> View:
     place = {name: n for n, name in enumerate(frames)}
     known = np.array([name in place for name in clip.frames])
     if not known.any():
-        expected = f"frames of the clip, {clip.frames[0]} to {clip.frames[-1]}"
-        raise InputError(path, "frames", f"frames from {files.shorten_value(frames[0])}", expected)
+        return None
     rows = _nearest_known(np.array([place.get(name, -1) for name in clip.frames]), known)
     view = View(
         name=folder.name, size=size, K=K[rows], T_cam_view=T[rows], masks=_unknown_masks(len(clip), size),
         time_offset=float(offset), folder=folder,
         provenance=parse_provenance(path, fields.get("provenance", {}), 4),
     )  # fmt: skip
-    seen = replace(clip_in_view(clip, view), evidence={})
-    if (masks := read_available_masks(seen, with_hand=True)) is not None:
-        view = replace(view, masks=masks)
-    if os.path.lexists(folder / JOINTS_FILE):
-        stored = arrays.read(
-            files.inside(folder, JOINTS_FILE, "", "joints of the hand in the view"),
-            lambda key: key.startswith("joints_2d"),
-        )
-        points, confidence = parse_joints_2d(folder / JOINTS_FILE, stored, len(frames))
-        confidence = np.where(known[:, None], confidence[rows], 0.0)
-        view = replace(view, joints_2d=points[rows], joints_2d_confidence=confidence)
-    depth = read_depth(with_masks(seen, view.masks)) if view.masks.observed.any() else None
-    return replace(view, depth=depth)
+    return _Camera(view, len(frames), rows, known)
 
 
 def _nearest_known(rows: Int[ndarray, "T"], known: Bool[ndarray, "T"]) -> Int[ndarray, "T"]:
@@ -244,8 +289,8 @@ def _nearest_known(rows: Int[ndarray, "T"], known: Bool[ndarray, "T"]) -> Int[nd
 
 def _unknown_masks(frames: int, size: tuple[int, int]) -> Masks:
     """Make masks that say nothing in any frame."""
-    nothing = np.zeros((frames, size[1], size[0]), dtype=bool)
-    return Masks(nothing, ~nothing)
+    nothing, everything = (make(size[::-1]) for make in (PackedMask.empty, PackedMask.full))
+    return Masks(*(PackedMasks([each] * frames, size[::-1]).as_array() for each in (nothing, everything)))
 
 
 def write_view(view: View, clip: Clip, folder: Path) -> None:
