@@ -138,11 +138,11 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
         existing, why = existing_outcome(job, checksum)
         if existing is not None:
             return existing
-        result = _reconstruct_unchanged_clip(job, checksum, progress)
+        result, views = _reconstruct_unchanged_clip(job, checksum, progress)
         meanwhile, _ = existing_outcome(job, checksum)
         if meanwhile is not None and not job.overwrite:
             return meanwhile
-        metrics = {"iou_full": result.mean_iou}
+        metrics = {"iou_full": result.mean_iou, **views}
         made_by = software_of_method(job.options.method)
         write_result(result, job.out, checksum, metrics, job.origin or job.clip, overwrite=True, made_by=made_by)
     except Exception as error:  # an error in one clip must not end the others
@@ -161,15 +161,24 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
     return _result_outcome(job, "done", f"{again}{summary}; {result.message}", result, checksum)
 
 
-def _reconstruct_unchanged_clip(job: Job, checksum: str, progress: Progress | None) -> Reconstruction:
-    """Return the result of the clip. Raises ``InputError`` where it no longer has the checksum after it was read."""
+def _reconstruct_unchanged_clip(
+    job: Job, checksum: str, progress: Progress | None
+) -> tuple[Reconstruction, dict[str, float]]:
+    """Return the result of the clip, and its IOU in further views by the metrics' keys.
+
+    Raises ``InputError`` where the clip no longer has the checksum after it was read.
+    """
+    from getagrip.metrics.evaluate.metric import nan_mean
+    from getagrip.metrics.evaluate.results import iou_of_views
     from getagrip.reconstruct import reconstruct
 
+    clip = read_clip(job.clip)
     with plugins.convert_base_exceptions():
-        result = reconstruct(read_clip(job.clip), None, job.options, progress, job.threads)
+        result = reconstruct(clip, None, job.options, progress, job.threads)
+    views = {key: nan_mean(values) for key, values in iou_of_views(result, clip).items()}
     if input_sha256(job.clip) != checksum:
         raise InputError(job.clip, "", "files that changed while they were read", "a clip that stays as it is")
-    return result
+    return result, views
 
 
 def existing_outcome(job: Job, checksum: str) -> tuple[Outcome | None, str]:
