@@ -73,7 +73,7 @@ class FilmLayout:
 
     @staticmethod
     def of(panels: int) -> FilmLayout:
-        """Lay out pictures, at least two, as a square or a little wider, in the width of two."""
+        """Choose columns and sizes: pictures, at least two, in a square or a little wider, as wide as two."""
         columns = int(np.ceil(np.sqrt(panels)))
         return FilmLayout(panels, columns, max(MIN_FILM_PANEL_PX, 2 * (FILM_PANEL_PX // columns)))
 

@@ -154,7 +154,7 @@ class OpenColumn:
 
     @cached_property
     def windows_of_views(self) -> list[Crops]:
-        """The same in each further view."""
+        """Windows of each further view, in the order of the cameras."""
         some = self.at(self.sampled)
         whole = [self.view.in_view(camera, with_masks=False) for camera in self.view.cameras]
         each = zip(whole, some.in_each_view().values(), strict=True)
