@@ -19,10 +19,10 @@ from getagrip.report.pages.result_page import describe_result
 from getagrip.report.pages.scene_data import constant_arrays, draw_page_frame
 from getagrip.report.pages.viewer import ViewerLibrary, group_entries
 from getagrip.report.pictures.contact_colours import subdivide_object
-from getagrip.report.pictures.panels import RESULT_COLOUR
+from getagrip.report.pictures.panels import CROP_MARGIN_FACTOR, RESULT_COLOUR
 from getagrip.report.pictures.result_picture import report_figure
 from getagrip.report.pictures.result_view import View, candidate_views
-from getagrip.report.pictures.stored_results import draw_overlay, smooth_windows
+from getagrip.report.pictures.stored_results import WINDOW_MARGIN_FACTOR, draw_overlay, smooth_windows
 from helpers.environment import Run
 from helpers.pages import pixels_of
 from helpers.views import GREY, LACKED, NAMES, write_viewed_clip, write_viewed_result
@@ -144,3 +144,14 @@ def test_report_names_the_views_that_there_are(tmp_path: Path, run: Run) -> None
     assert code == 1
     assert "camera or view2 or view3" in said
     assert main(["report", str(folder), "--mp4", "--view", "view3"]) == 0
+
+
+def test_a_view_that_looks_away_shows_its_whole_images(view: View) -> None:
+    """What is behind a camera is nowhere in its images."""
+    camera = view.cameras[0]
+    away = replace(camera, T_cam_view=camera.T_cam_view @ np.diag([-1.0, 1.0, -1.0, 1.0]))
+    seen = replace(view, cameras=(away,)).in_each_view()["view2"]
+    crops = smooth_windows(replace(seen, masks=None), 320)
+    np.testing.assert_allclose(crops.side, 160.0 * CROP_MARGIN_FACTOR * WINDOW_MARGIN_FACTOR)
+    drawn: Any = draw_page_frame(seen, 0, crops, 0)
+    assert drawn["outlines"]["object"] == ""

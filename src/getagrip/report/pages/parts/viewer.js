@@ -32,7 +32,7 @@ class Eye {
   showCameras(on) {
     if (!this.reach) return;
     this.reset();
-    if (on) Object.assign(this, { distance: Math.min(this.farthest(), 2.6 * this.reach), pitch: -0.45, yaw: 0.5 });
+    if (on) Object.assign(this, { distance: Math.min(this.farthest(), 3 * this.reach), pitch: -0.45, yaw: 0.5 });
   }
 
   ask() {
@@ -160,7 +160,7 @@ class Viewer {
     this.waiting = true;
     requestAnimationFrame(() => {
       this.waiting = false;
-      if (this.moving.hand_vertices) this.draw();
+      if (this.moving.hand_vertices && this.canvas.isConnected) this.draw();  // not of an entry that was left
     });
   }
 
