@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +12,6 @@ from getagrip.bench.inputs.added_views import AddedViews
 from getagrip.bench.inputs.perturbations import Unchanged
 from getagrip.clip import Clip, read_clip, write_clip
 from getagrip.clip.views import clip_in_view, find_cameras, masks_in_view, read_views, views_of, with_views
-from getagrip.errors import InputError
 from getagrip.synthetic.scene_options import SceneOptions
 from helpers.scenes import scene
 
@@ -50,25 +47,3 @@ def test_cameras_are_found_in_memory_and_in_the_folder(stored: tuple[Clip, Clip]
             masks = masks_in_view(clip_in_view(some, of), of)
             assert masks is not None
             np.testing.assert_array_equal(one.masks.object[2:], masks.object)
-
-
-def test_a_view_without_any_of_the_frames_is_an_error_of_reading_its_masks_alone(stored: tuple[Clip, Clip]) -> None:
-    clip = stored[1]
-    path = clip.origin / "views" / "view2" / "view.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"frames": ["x", "y", "z"]}))
-    assert [view.name for view in find_cameras(clip)] == ["view3"]
-    with pytest.raises(InputError, match="frames of the clip"):
-        read_views(clip)
-
-
-def test_folders_of_views_are_folders_inside(stored: tuple[Clip, Clip], tmp_path: Path) -> None:
-    clip = stored[1]
-    views = clip.origin / "views"
-    views.rename(tmp_path / "away")
-    os.symlink(tmp_path / "away", views)
-    with pytest.raises(InputError, match="leads out"):
-        find_cameras(clip)
-    views.unlink()
-    views.write_text("")
-    with pytest.raises(InputError, match="a folder of views"):
-        find_cameras(clip)

@@ -8,7 +8,7 @@ first one; poses of the other cameras are in its frame.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -141,6 +141,11 @@ def with_views(clip: Clip, views: Sequence[View]) -> Clip:
     return replace(clip, evidence={**clip.evidence, VIEWS_KEY: Views(tuple(views)) if views else None})
 
 
+def without_views(clip: Clip, names: Collection[str]) -> Clip:
+    """Return the clip without some of its further views that are in memory."""
+    return with_views(clip, [view for view in views_of(clip) if view.name not in names]) if names else clip
+
+
 def clip_in_view(clip: Clip, view: View) -> Clip:
     """Return a clip as a further camera sees it: hands, truth and camera in that camera's frame, and its evidence."""
     T, other, truth = view.T_view_cam, clip.other_hand, clip.truth
@@ -162,16 +167,12 @@ def clip_in_view(clip: Clip, view: View) -> Clip:
 
 
 def view_folders(folder: Path) -> list[Path]:
-    """List the folders of views in a clip's folder, by name. Raises ``InputError``, as for too many."""
-    top, what = folder / VIEWS_KEY, "the description of a view"
-    if not os.path.lexists(top):
-        return []
-    if not top.is_dir():
-        raise InputError(top, "", "no folder", "a folder of views")
-    found = sorted(path.name for path in top.iterdir() if not path.name.startswith("."))
+    """List the folders of views in a clip's folder, by name. Raises ``InputError`` for too many."""
+    top = folder / VIEWS_KEY
+    found = files.folders_in(top) if top.is_dir() else []
     if len(found) > MAX_VIEWS:
         raise InputError(top, "", f"{len(found)} views", f"at most {MAX_VIEWS}")
-    return [files.inside(folder, f"{VIEWS_KEY}/{name}/{VIEW_FILE}", "", what).parent for name in found]
+    return found
 
 
 def view_files(folder: Path, frames: Sequence[str]) -> list[str]:
@@ -196,13 +197,11 @@ def read_views(clip: Clip) -> Views | None:
 def find_cameras(clip: Clip) -> tuple[View, ...]:
     """Return the further views of a clip: those in memory, else the cameras in its folder, whose masks are unknown.
 
-    ``masks_in_view`` reads the masks where they are needed; views without any of the clip's frames are left out. Raises
-    ``InputError``.
+    ``masks_in_view`` reads the masks where they are needed. Raises ``InputError``.
     """
     if VIEWS_KEY in clip.evidence or clip.folder is None:
         return views_of(clip)
-    each = (_read_camera(clip, folder) for folder in view_folders(clip.folder))
-    return tuple(camera.view for camera in each if camera is not None)
+    return tuple(_read_camera(clip, folder).view for folder in view_folders(clip.folder))
 
 
 def masks_in_view(seen: Clip, view: View) -> Masks | None:
@@ -215,11 +214,7 @@ def masks_in_view(seen: Clip, view: View) -> Masks | None:
 
 def read_view(clip: Clip, folder: Path) -> View:
     """Read and check one view of a clip from its folder, at the clip's frames. Raises ``InputError``."""
-    camera = _read_camera(clip, folder)
-    if camera is None:
-        expected = f"frames of the clip, {clip.frames[0]} to {clip.frames[-1]}"
-        raise InputError(folder / VIEW_FILE, "frames", "none of the clip's", expected)
-    view, n_frames, rows, known = camera
+    view, n_frames, rows, known = _read_camera(clip, folder)
     seen = replace(clip_in_view(clip, view), evidence={})
     if (masks := read_available_masks(seen, with_hand=True)) is not None:
         view = replace(view, masks=masks)
@@ -247,9 +242,9 @@ class _Camera(NamedTuple):
     """True in the clip's frames that it has."""
 
 
-def _read_camera(clip: Clip, folder: Path) -> _Camera | None:
-    """Read and check the camera of a view; None if the view has none of the clip's frames. Raises ``InputError``."""
-    path = files.inside(folder, VIEW_FILE, "", "the description of a view")
+def _read_camera(clip: Clip, folder: Path) -> _Camera:
+    """Read and check the camera of a view. Raises ``InputError``."""
+    path = files.inside(folder.parents[1], f"{VIEWS_KEY}/{folder.name}/{VIEW_FILE}", "", "the description of a view")
     fields = files.read_json(path)
     unknown = next((key for key in fields if key not in VIEW_KEYS), None)
     if unknown is not None:
@@ -269,9 +264,7 @@ def _read_camera(clip: Clip, folder: Path) -> _Camera | None:
     check_camera_poses(path, T, frames, "camera.T_cam_view")
     place = {name: n for n, name in enumerate(frames)}
     known = np.array([name in place for name in clip.frames])
-    if not known.any():
-        return None
-    rows = _nearest_known(np.array([place.get(name, -1) for name in clip.frames]), known)
+    rows = _nearest_known(np.array([place.get(name, 0) for name in clip.frames]), known)
     view = View(
         name=folder.name, size=size, K=K[rows], T_cam_view=T[rows], masks=_unknown_masks(len(clip), size),
         time_offset=float(offset), folder=folder,
@@ -281,8 +274,10 @@ def _read_camera(clip: Clip, folder: Path) -> _Camera | None:
 
 
 def _nearest_known(rows: Int[ndarray, "T"], known: Bool[ndarray, "T"]) -> Int[ndarray, "T"]:
-    """Return the row of each frame, or of the nearest frame that has one."""
+    """Return the row of each frame, or of the nearest frame that has one; the first row if none has one."""
     at = np.flatnonzero(known)
+    if not len(at):
+        return np.zeros_like(rows)
     nearest = at[np.abs(np.arange(len(rows))[:, None] - at).argmin(axis=1)]
     return rows[nearest]
 
