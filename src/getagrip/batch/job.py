@@ -6,9 +6,10 @@ folder without it is no result, so an interrupted copy never counts as done.
 
 from __future__ import annotations
 
+import math
 import tempfile
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -155,10 +156,24 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
         probability = grasps
     if not known and (reason := uncalibrated_reason(job.options, result.findings, result.energy)):
         probability = f"{probability or 'no probability that it is right'} ({reason})"
-    about = (f"IOU {result.mean_iou:.2f}", probability, result.looks, "ambiguous" * result.ambiguous)
+    about = (
+        f"IOU {result.mean_iou:.2f}{_worst_view(views)}",
+        probability,
+        result.looks,
+        "ambiguous" * result.ambiguous,
+    )
     summary = ", ".join(filter(None, (*about, f"{result.seconds['total']:.1f} s", str(job.out))))
     again = f"done again, since {why}: " if why else ""
     return _result_outcome(job, "done", f"{again}{summary}; {result.message}", result, checksum)
+
+
+def _worst_view(views: Mapping[str, float]) -> str:
+    """Name the further view in which the IOU is lowest; empty without any."""
+    known = [(value, key.partition(":")[2]) for key, value in views.items() if not math.isnan(value)]
+    if not known:
+        return ""
+    value, name = min(known)
+    return f" ({value:.2f} in {name}{f', the worst of {len(known)} further views' if len(known) > 1 else ''})"
 
 
 def _reconstruct_unchanged_clip(

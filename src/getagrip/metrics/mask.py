@@ -15,7 +15,7 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
 from getagrip.clip.masks import occluded_by_hand
-from getagrip.clip.views import clip_in_view, find_cameras, masks_in_view
+from getagrip.clip.views import View, clip_in_view, masks_in_view
 from getagrip.geometry import se3
 from getagrip.geometry.camera import crops_around
 from getagrip.geometry.mesh import Mesh
@@ -74,14 +74,14 @@ def iou_of_poses(
 
 
 def iou_in_views(
-    clip: Clip, mesh: Mesh, scale: float, T_cam_obj: Float[ndarray, "T 4 4"]
+    clip: Clip, views: Sequence[View], mesh: Mesh, scale: float, T_cam_obj: Float[ndarray, "T 4 4"]
 ) -> dict[str, Float[ndarray, "T"]]:
-    """Compute the IOU in the whole images of a clip's further views, by name, for those whose masks show the object.
+    """Compute the IOU in the whole images of further views of a clip, by name, for those whose masks show the object.
 
     ``clip`` has the hand that hides the object where a view has no ignore masks. Raises ``InputError``.
     """
     found = {}
-    for view in find_cameras(clip):
+    for view in views:
         seen = clip_in_view(clip, view)
         masks = masks_in_view(seen, view)
         if masks is None or not masks.observed.any():

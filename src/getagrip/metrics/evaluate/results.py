@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks, check_masks, find_masks, input_sha256, read_clip
+from getagrip.clip.views import find_cameras
 from getagrip.errors import InputError, NamedFields, check_arguments, escape_unprintable
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -204,9 +205,12 @@ def iou_of_views(result: Reconstruction, clip: Clip) -> dict[str, Float[ndarray,
 
     Raises ``InputError``.
     """
-    light = clip.take(clip.index_of(result.frames)).light().warped(result.warp)
+    views, index = find_cameras(clip), clip.index_of(result.frames)
+    if not views:
+        return {}
+    light, views = clip.take(index).light().warped(result.warp), tuple(view.take(index) for view in views)
     at = light.with_hand_at(result.T_cam_hand, result.T_cam_other_hand, result.hand_scale)
-    found = iou_in_views(at, at.mesh, result.scale, at.hand.T_cam_hand @ result.T_hand_obj)
+    found = iou_in_views(at, views, at.mesh, result.scale, at.hand.T_cam_hand @ result.T_hand_obj)
     return {f"{IOU_OF_VIEW}{name}": values for name, values in found.items()}
 
 
