@@ -12,12 +12,14 @@ from pathlib import Path
 from shutil import make_archive
 from typing import Any
 
+import numpy as np
 import pytest
 
 from getagrip.batch.job import Job, existing_outcome, failed_outcome, reconstruct_one
 from getagrip.clip import Clip, input_sha256, write_clip
 from getagrip.errors import GetagripError
 from getagrip.fitting.options import Options
+from getagrip.geometry import se3
 from getagrip.io.files import to_json
 from getagrip.io.plugins import install_command
 from getagrip.io.storage import RemotePath
@@ -28,6 +30,7 @@ from helpers.clusters import BUCKET, s3_server
 from helpers.environment import Run
 from helpers.folders import contents
 from helpers.scenes import SHORT, egg_and_mug, perfect, scene
+from helpers.views import NAMES, write_viewed_clip
 
 SERIOUS_FINDING = Finding("contact-gap", True, 240.0, 15.0, "nothing is held")
 
@@ -49,6 +52,20 @@ def test_a_result_that_another_run_made_meanwhile_is_kept(tmp_path: Path, monkey
     assert outcome.findings == (SERIOUS_FINDING,)
     other = replace(job, options=Options(method="static", seed=1))
     assert existing_outcome(other, input_sha256(folder)) == (None, "the earlier result is of another seed")
+
+
+def test_the_iou_in_further_views_is_kept_and_the_worst_one_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found, clip, _ = write_viewed_clip(tmp_path / "clip")
+    off = found.T_hand_obj @ se3.rigid(None, np.array([0.03, 0.0, 0.0]))
+    monkeypatch.setattr(import_module("getagrip.reconstruct"), "reconstruct", lambda *_: replace(found, T_hand_obj=off))
+    outcome = reconstruct_one(Job(clip.name, clip.origin, tmp_path / "out", Options(), overwrite=False))
+    kept = json.loads((tmp_path / "out" / "result.json").read_text())["metrics"]
+    assert [*kept] == ["iou_full", "iou_full:view2", "iou_full:view3"]
+    worst = min(NAMES, key=lambda name: kept[f"iou_full:{name}"])
+    words = f"({kept[f'iou_full:{worst}']:.2f} in {worst}, the worst of 2 further views)"
+    assert words in outcome.message
 
 
 @pytest.mark.parametrize(

@@ -52,13 +52,14 @@ def test_cameras_are_found_in_memory_and_in_the_folder(stored: tuple[Clip, Clip]
             np.testing.assert_array_equal(one.masks.object[2:], masks.object)
 
 
-def test_a_view_without_any_of_the_frames_is_an_error_of_reading_its_masks_alone(stored: tuple[Clip, Clip]) -> None:
+def test_a_view_without_any_of_the_frames_shows_nothing(stored: tuple[Clip, Clip]) -> None:
     clip = stored[1]
     path = clip.origin / "views" / "view2" / "view.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"frames": ["x", "y", "z"]}))
-    assert [view.name for view in find_cameras(clip)] == ["view3"]
-    with pytest.raises(InputError, match="frames of the clip"):
-        read_views(clip)
+    assert [view.name for view in find_cameras(clip)] == ["view2", "view3"]
+    views = read_views(clip)
+    assert views is not None
+    assert [view.masks.known.any() for view in views.each] == [False, True]
 
 
 def test_folders_of_views_are_folders_inside(stored: tuple[Clip, Clip], tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from getagrip.geometry.camera import project
 from getagrip.report.film import (
     CAPTION_HEIGHT_PX,
     FILM_PANEL_PX,
+    FilmLayout,
     FilmStage,
     _timeline_frames,
     draw_segment_bar,
@@ -179,6 +180,6 @@ def test_the_other_hand_is_drawn_where_it_is_known() -> None:
 
 
 def test_a_film_of_a_timeline_has_a_bar_of_segments() -> None:
-    picture = next(_timeline_frames(timeline_view()))
+    picture = next(_timeline_frames(timeline_view(), FilmLayout.of(2)))
     assert picture.shape == (FILM_PANEL_PX + 2 * CAPTION_HEIGHT_PX, 2 * FILM_PANEL_PX, 3)
     assert pixels_of(picture, STATE_COLOURS["static"]) > 1000

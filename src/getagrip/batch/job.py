@@ -6,9 +6,10 @@ folder without it is no result, so an interrupted copy never counts as done.
 
 from __future__ import annotations
 
+import math
 import tempfile
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -138,11 +139,11 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
         existing, why = existing_outcome(job, checksum)
         if existing is not None:
             return existing
-        result = _reconstruct_unchanged_clip(job, checksum, progress)
+        result, views = _reconstruct_unchanged_clip(job, checksum, progress)
         meanwhile, _ = existing_outcome(job, checksum)
         if meanwhile is not None and not job.overwrite:
             return meanwhile
-        metrics = {"iou_full": result.mean_iou}
+        metrics = {"iou_full": result.mean_iou, **views}
         made_by = software_of_method(job.options.method)
         write_result(result, job.out, checksum, metrics, job.origin or job.clip, overwrite=True, made_by=made_by)
     except Exception as error:  # an error in one clip must not end the others
@@ -155,21 +156,44 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
         probability = grasps
     if not known and (reason := uncalibrated_reason(job.options, result.findings, result.energy)):
         probability = f"{probability or 'no probability that it is right'} ({reason})"
-    about = (f"IOU {result.mean_iou:.2f}", probability, result.looks, "ambiguous" * result.ambiguous)
+    about = (
+        f"IOU {result.mean_iou:.2f}{_worst_view(views)}",
+        probability,
+        result.looks,
+        "ambiguous" * result.ambiguous,
+    )
     summary = ", ".join(filter(None, (*about, f"{result.seconds['total']:.1f} s", str(job.out))))
     again = f"done again, since {why}: " if why else ""
     return _result_outcome(job, "done", f"{again}{summary}; {result.message}", result, checksum)
 
 
-def _reconstruct_unchanged_clip(job: Job, checksum: str, progress: Progress | None) -> Reconstruction:
-    """Return the result of the clip. Raises ``InputError`` where it no longer has the checksum after it was read."""
+def _worst_view(views: Mapping[str, float]) -> str:
+    """Name the further view in which the IOU is lowest; empty without any."""
+    known = [(value, key.partition(":")[2]) for key, value in views.items() if not math.isnan(value)]
+    if not known:
+        return ""
+    value, name = min(known)
+    return f" ({value:.2f} in {name}{f', the worst of {len(known)} further views' if len(known) > 1 else ''})"
+
+
+def _reconstruct_unchanged_clip(
+    job: Job, checksum: str, progress: Progress | None
+) -> tuple[Reconstruction, dict[str, float]]:
+    """Return the result of the clip, and its IOU in further views by the metrics' keys.
+
+    Raises ``InputError`` where the clip no longer has the checksum after it was read.
+    """
+    from getagrip.metrics.evaluate.metric import nan_mean
+    from getagrip.metrics.evaluate.results import iou_of_views
     from getagrip.reconstruct import reconstruct
 
+    clip = read_clip(job.clip)
     with plugins.convert_base_exceptions():
-        result = reconstruct(read_clip(job.clip), None, job.options, progress, job.threads)
+        result = reconstruct(clip, None, job.options, progress, job.threads)
+    views = {key: nan_mean(values) for key, values in iou_of_views(result, clip).items()}
     if input_sha256(job.clip) != checksum:
         raise InputError(job.clip, "", "files that changed while they were read", "a clip that stays as it is")
-    return result
+    return result, views
 
 
 def existing_outcome(job: Job, checksum: str) -> tuple[Outcome | None, str]:

@@ -44,6 +44,9 @@ class ReportRequest:
     """A clip, or the folder that holds the clips by name."""
     mp4: Flag = False
     """Also write report.mp4, a film of the result over its images and from the side."""
+    view: Annotated[str | None, arg(metavar="NAME")] = None
+    """Show this view alone in the film, of a clip with views: a further camera by its name, or camera, the clip's own.
+    """
     index_only: Flag = False
     """Write only the index of a folder of results, with links to pages that are there already."""
     keep: Annotated[KeepOptions, arg(name="")] = field(default_factory=KeepOptions)
@@ -65,6 +68,8 @@ class Report(Command):
             raise UsageError("missing PATH: name at least one result, or a folder of results")
         if self.workers is not None and self.workers < 1:
             raise UsageError(f"--workers must be 1 or more (got {self.workers})")
+        if self.request.view is not None and not self.request.mp4:
+            raise UsageError("--view is of the film: say --mp4 as well")
 
     def run(self) -> int:
         """Write pages, pictures, films and indices of the paths; return 1 if any failed, else 0."""
@@ -148,7 +153,7 @@ def _write_result_pages(job: ReportJob) -> IndexRow:
     if request.mp4:
         from getagrip.report.film import write_film
 
-        write_film(view, folder / REPORT_VIDEO)
+        write_film(view if request.view is None else view.seen_by(request.view), folder / REPORT_VIDEO)
     return request.keep.marked(index_row(job.name, view, evaluation, (folder / REPORT_PAGE).is_file()), result)
 
 

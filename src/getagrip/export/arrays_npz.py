@@ -36,6 +36,13 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         }
         if (joints := other.joints_in_camera) is not None:
             content["other_joints_cam"] = joints
+    if scene.views:
+        content |= {
+            "views": np.array([view.name for view in scene.views], dtype=np.str_),
+            "T_cam_views": np.stack([view.T_cam_view for view in scene.views]),
+            "K_views": np.stack([view.K for view in scene.views]),
+            "image_size_views": np.array([view.size for view in scene.views]),
+        }
     if scene.world is not None and scene.world.up is not None:
         content["world_up"] = scene.world.up
     if scene.angle is not None:

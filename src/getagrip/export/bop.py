@@ -8,6 +8,10 @@ The folder is that of a scene: images, and masks rendered of the poses, so that 
 ``mask`` is the whole silhouette, ``mask_visib`` is without what the posed hands hide; ``scene_gt_info`` counts and
 bounds both. No pixel has a valid depth: the footage has none.
 
+A clip with views is one scene of several cameras, as BOP's of industry: files of a further view have its name, as in
+``scene_gt_NAME.json``, ``mask_NAME`` and ``rgb_NAME``; an image id is the same moment in all. The results are those of
+the clip's own camera. The world of such a clip is, where it is not known, the own camera's frame in each image.
+
 Clips of BOP's own datasets, such as HOT3D, keep BOP's names from their provenance: the dataset ``hot3d``, the headset
 (``aria``, ``quest3``) as the split's type, and the camera in file names, such as ``scene_gt_rgb.json``.
 """
@@ -21,6 +25,7 @@ import numpy as np
 from jaxtyping import Bool
 from numpy import ndarray
 
+from getagrip.clip import World
 from getagrip.export.scene import Scene, csv_text, format_vector, safe_file_name
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import write_mesh
@@ -43,6 +48,15 @@ class BopFileNames:
     split: str = "test"
     camera: str = ""
     """Name of the camera in the scene's files, with a leading underscore."""
+    images: str = "rgb"
+    """Folder of the images."""
+    is_own: bool = True
+    """True for the clip's own camera."""
+
+    def of_view(self, name: str) -> BopFileNames:
+        """Name the files of a further view; in BOP's own datasets a folder of images has the camera's name alone."""
+        images = name if self.camera else f"{self.images}_{name}"
+        return replace(self, camera=f"_{name}", images=images, is_own=False)
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
@@ -56,14 +70,6 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         for n, (image, score) in enumerate(zip(images, np.nan_to_num(scene.iou), strict=True))
     )
     files.write_bytes(folder / results, csv_text([BOP_RESULT_COLUMNS, *rows]))
-    poses = {
-        str(image): [{"cam_R_m2c": R[n].ravel(), "cam_t_m2c": t[n], "obj_id": BOP_OBJECT_ID}]
-        for n, image in enumerate(images)
-    }
-    cameras = {str(image): _camera_entry(scene, n) for n, image in enumerate(images)}
-    ground_truth, camera = f"scene_gt{naming.camera}.json", f"scene_camera{naming.camera}.json"
-    files.write_json(folder / ground_truth, poses)
-    files.write_json(folder / camera, cameras)
     (folder / "models").mkdir()
     model = f"models/obj_{BOP_OBJECT_ID:06d}.ply"
     write_mesh(replace(scene.object, vertices=1e3 * scene.object.vertices), folder / model)
@@ -74,23 +80,45 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         **{f"size_{axis}": 1e3 * np.ptp(extent[:, k]) for k, axis in enumerate("xyz")},
     }
     files.write_json(folder / "models" / "models_info.json", {str(BOP_OBJECT_ID): info})
+    written = {
+        results: "BOP results: R row by row, t in mm, model to camera; score is the mask IOU, 0 where no mask shows "
+        "the object; time -1: not per image",
+        model: "the object at its estimated size, in mm",
+        "models/models_info.json": "diameter and bounding box, in mm, of the model as it was fitted",
+    }
+    if scene.views and scene.world is None:
+        scene = replace(scene, world=World(np.tile(np.eye(4), (len(images), 1, 1))))
+    for seen, names in [(scene, naming), *((scene.in_view(view), naming.of_view(view.name)) for view in scene.views)]:
+        written |= _write_camera(seen, folder, names, images)
+    return written
+
+
+def _write_camera(scene: Scene, folder: Path, naming: BopFileNames, images: list[int]) -> dict[str, str]:
+    """Write the poses, images and masks of a camera, and itself; return what was written."""
+    R, t = scene.T_cam_obj[:, :3, :3], 1e3 * scene.T_cam_obj[:, :3, 3]
+    poses = {
+        str(image): [{"cam_R_m2c": R[n].ravel(), "cam_t_m2c": t[n], "obj_id": BOP_OBJECT_ID}]
+        for n, image in enumerate(images)
+    }
+    cameras = {str(image): _camera_entry(scene, n) for n, image in enumerate(images)}
     fx, fy, (cx, cy) = scene.K[0, 0, 0], scene.K[0, 1, 1], scene.K[0, :2, 2]
     width, height = scene.size
     pinhole = {"cx": cx, "cy": cy, "depth_scale": 1.0, "fx": fx, "fy": fy, "height": height, "width": width}
-    files.write_json(folder / "camera.json", pinhole)
-    return _write_images(scene, folder, naming.camera, images) | {
-        results: "BOP results: R row by row, t in mm, model to camera; score is the mask IOU, 0 where no mask shows "
-        "the object; time -1: not per image",
+    ground_truth, camera = f"scene_gt{naming.camera}.json", f"scene_camera{naming.camera}.json"
+    intrinsics = "camera.json" if naming.is_own else f"camera{naming.camera}.json"
+    files.write_json(folder / ground_truth, poses)
+    files.write_json(folder / camera, cameras)
+    files.write_json(folder / intrinsics, pinhole)
+    return _write_images(scene, folder, naming, images) | {
         ground_truth: "the same poses in the layout of BOP's ground truth; they are estimates",
         camera: "intrinsics of each image and, where known, the poses world to camera, in mm",
-        model: "the object at its estimated size, in mm",
-        "models/models_info.json": "diameter and bounding box, in mm, of the model as it was fitted",
-        "camera.json": "size of the images, and the intrinsics of the first one",
+        intrinsics: "size of the images, and the intrinsics of the first one",
     }
 
 
-def _write_images(scene: Scene, folder: Path, camera: str, images: list[int]) -> dict[str, str]:
+def _write_images(scene: Scene, folder: Path, naming: BopFileNames, images: list[int]) -> dict[str, str]:
     """Write images, masks and their counts; return what was written."""
+    camera, colours = naming.camera, naming.images
     mask, visible, information = f"mask{camera}", f"mask_visib{camera}", f"scene_gt_info{camera}.json"
     written = {
         f"{mask}/<image>_000000.png": "silhouettes of the model at the same poses",
@@ -120,7 +148,6 @@ def _write_images(scene: Scene, folder: Path, camera: str, images: list[int]) ->
     files.write_json(folder / information, about)
     known = {image: path for image, path in zip(images, scene.image_files, strict=False) if path is not None}
     if known:
-        colours = camera.removeprefix("_") or "rgb"
         (folder / colours).mkdir()
         for image, path in known.items():
             suffix = ".png" if path.suffix.lower() == ".png" else ".jpg"
@@ -157,7 +184,8 @@ def _bounding_box(pixels: Bool[ndarray, "h w"], origin: tuple[int, int]) -> list
 def naming_of(scene: Scene) -> BopFileNames:
     """Name a scene's files, for a clip of one of BOP's own datasets as in that dataset."""
     if {"dataset", "split", "camera"} <= scene.bop.keys():
-        return BopFileNames(scene.bop["dataset"], scene.bop["split"], f"_{scene.bop['camera']}")
+        of = scene.bop
+        return BopFileNames(of["dataset"], of["split"], f"_{of['camera']}", of["camera"])
     return BopFileNames("".join(filter(str.isalnum, safe_file_name(scene.name))) or "clip")
 
 

@@ -8,6 +8,9 @@ frame has one, are a video. ``confidence`` is the calibrated probability that th
 else -1; ``findings_serious`` the number of serious findings, 0 for a right result; ``distance_interval`` contains the
 object's distance from the camera, median over frames, with 90 % [m], -1 where unknown; ``mask_iou`` is the mask IOU of
 the frame, -1 without a mask that shows the object.
+
+A clip with views has a video of each that has an image in every frame, ``observation.images.NAME``, and of each camera
+the intrinsics ``K_NAME``, row by row, and the pose ``T_cam_NAME``; of the clip's own camera ``K_camera``.
 """
 
 from __future__ import annotations
@@ -34,7 +37,9 @@ LEROBOT_VERSION = "v3.0"
 CHUNK_FILE_PATTERN = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 DATA_FILE_PATTERN = f"data/{CHUNK_FILE_PATTERN}.parquet"
 EPISODES_FILE_PATTERN = f"meta/episodes/{CHUNK_FILE_PATTERN}.parquet"
-VIDEO_FILE_PATTERN, CAMERA_FEATURE = "videos/{video_key}/" + f"{CHUNK_FILE_PATTERN}.mp4", "observation.images.camera"
+VIDEO_FILE_PATTERN, IMAGES_PREFIX = "videos/{video_key}/" + f"{CHUNK_FILE_PATTERN}.mp4", "observation.images."
+CAMERA_FEATURE = f"{IMAGES_PREFIX}camera"
+"""Images of the clip's own camera."""
 POSE_COMPONENTS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 STATE_COMPONENTS = [
     *(f"wrist_{name}" for name in POSE_COMPONENTS),
@@ -55,13 +60,13 @@ MAX_STATISTICS_PIXELS = 200_000
 
 
 class Episode(NamedTuple):
-    """A scene in LeRobot's terms: rows, features and statistics by name, the task in words, and the images."""
+    """A scene in LeRobot's terms: rows, features and statistics by name, the task in words, images by feature."""
 
     columns: dict[str, Shaped[ndarray, "T ..."]]
     features: dict[str, object]
     stats: dict[str, dict[str, Shaped[ndarray, "..."]]]
     task: str
-    pictures: EpisodeImages | None
+    pictures: dict[str, EpisodeImages]
     fps: int
     stage: StageFrame
 
@@ -81,8 +86,8 @@ class Episode(NamedTuple):
             for name, values in columns.items()
         }
         stats = {name: feature_statistics(values) for name, values in columns.items() if values.dtype.kind != "U"}
-        if pictures is not None:
-            features[CAMERA_FEATURE], stats[CAMERA_FEATURE] = pictures.feature(fps), image_stats(iter(pictures))
+        for name, images in pictures.items():
+            features[name], stats[name] = images.feature(fps), image_stats(iter(images))
         task = f"hold the {scene.category} with the {scene.side} hand"
         return Episode(columns, features, stats, task, pictures, fps, stage)
 
@@ -107,11 +112,11 @@ class Episode(NamedTuple):
             **{f"data/{key}": value for key, value in place.items()},
             **{f"meta/episodes/{key}": value for key, value in place.items()},
         }
-        if self.pictures is not None:
-            path = _path_in_dataset(folder, VIDEO_FILE_PATTERN.format(video_key=CAMERA_FEATURE, **place))
-            write_video(path, iter(self.pictures), Fraction(self.fps), self.pictures.size, seek=True)
+        for name, images in self.pictures.items():
+            path = _path_in_dataset(folder, VIDEO_FILE_PATTERN.format(video_key=name, **place))
+            write_video(path, iter(images), Fraction(self.fps), images.size, seek=True)
             about = {**place, "from_timestamp": 0.0, "to_timestamp": count / self.fps}
-            record |= {f"videos/{CAMERA_FEATURE}/{key}": value for key, value in about.items()}
+            record |= {f"videos/{name}/{key}": value for key, value in about.items()}
         stats = self.stats | {name: feature_statistics(values) for name, values in moved.items()}
         record |= {f"stats/{name}/{key}": value for name, of in stats.items() for key, value in of.items()}
         record |= more or {}
@@ -146,8 +151,8 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         "meta/stats.json": "statistics of each feature, in the same units; images from 0 to 1",
         "meta/info.json": "the dataset's features; the same units",
     }
-    if made.pictures:
-        about[VIDEO_FILE_PATTERN.format(video_key=CAMERA_FEATURE, **place)] = "the images, H.264, at the same fps"
+    for name in made.pictures:
+        about[VIDEO_FILE_PATTERN.format(video_key=name, **place)] = "the images, H.264, at the same fps"
     return about
 
 
@@ -179,10 +184,14 @@ class EpisodeImages:
         self.size = (whole[0] // 2 * 2, whole[1] // 2 * 2)
 
     @staticmethod
-    def of(scene: Scene) -> EpisodeImages | None:
-        """Return the images of a scene; None if a frame lacks one."""
-        paths = [path for path in scene.image_files if path is not None]
-        return EpisodeImages(paths, scene.size) if paths and len(paths) == len(scene.frames) else None
+    def of(scene: Scene) -> dict[str, EpisodeImages]:
+        """Return the images of each camera of a scene that has one in every frame, by feature."""
+        found = {}
+        for camera in scene.cameras:
+            paths = [path for path in camera.image_files if path is not None]
+            if len(paths) == len(scene.frames):
+                found[f"{IMAGES_PREFIX}{camera.name}"] = EpisodeImages(paths, camera.size)
+        return found
 
     def __iter__(self) -> Iterator[UInt8[ndarray, "H W 3"]]:
         width, height = self.size
@@ -207,11 +216,14 @@ def _feature_columns(scene: Scene, stage: StageFrame) -> dict[str, Shaped[ndarra
     count = len(joints)
     state = np.concatenate([pose7(wrist, "wxyz"), joints.reshape(count, -1)], axis=1).astype(np.float32)
     number = np.arange(count)
+    cameras = {f"K_{camera.name}": camera.K.reshape(count, 9) for camera in scene.cameras if scene.views}
+    cameras |= {f"T_cam_{view.name}": view.T_cam_view.reshape(count, 16) for view in scene.views}
     return {
         "observation.state": state,
         "observation.environment_state": pose7(T_stage_obj, "wxyz").astype(np.float32),
         "action": np.concatenate([state[1:], state[-1:]]),
         **{name: T.reshape(count, 16).astype(np.float32) for name, T in scene.poses.items()},
+        **{name: values.astype(np.float32) for name, values in cameras.items()},
         "time_s": scene.time,
         "confidence": np.full(count, -1.0 if scene.probability is None else scene.probability, dtype=np.float32),
         "findings_serious": np.full(count, scene.findings_serious),
@@ -241,7 +253,7 @@ def _dataset_info(made: Episode, splits: Mapping[str, str], frames: int, tasks: 
         "fps": made.fps,
         "splits": splits,
         "data_path": DATA_FILE_PATTERN,
-        "video_path": VIDEO_FILE_PATTERN if made.pictures is not None else None,
+        "video_path": VIDEO_FILE_PATTERN if made.pictures else None,
         "features": made.features,
     }
 

@@ -1,7 +1,8 @@
 """MCAP (https://mcap.dev): a log for Foxglove and ROS tools, in JSON by the schemas of foxglove-sdk (``jsonschema``).
 
-Frames form a tree: ``stage`` (static, z up), ``camera`` (x right, y down, z forward), the hands in the camera frame,
-and ``object`` in the clip's own hand. Quaternions are (x, y, z, w); times are the clip's. Meshes are separate files.
+Frames form a tree: ``stage`` (static, z up), ``camera`` (x right, y down, z forward), the hands and the cameras of
+further views, by their names, in the camera frame, and ``object`` in the clip's own hand. Quaternions are (x, y, z, w);
+times are the clip's. Meshes are separate files.
 """
 
 from __future__ import annotations
@@ -88,29 +89,32 @@ def _frame_messages(
     """Yield the topic, the schema and the content of each message of frame ``n``."""
     sec, nsec = divmod(nanoseconds, 10**9)
     now = {"timestamp": {"sec": sec, "nsec": nsec}}
-    seen = now | {"frame_id": "camera"}
     hands = [hand for hand in scene.hands if hand.known[n]]
     tree = [("stage", "camera", stage.T_stage_cam[n]), ("hand", "object", scene.T_hand_obj[n])]
     tree += [("camera", hand.name, hand.T_cam_hand[n]) for hand in hands]
+    tree += [("camera", view.name, view.T_cam_view[n]) for view in scene.views]
     transforms = [
         now | {"parent_frame_id": parent, "child_frame_id": child, "translation": t, "rotation": q}
         for parent, child, T in tree
         for t, q in [_pose_message(T)]
     ]
     yield "/tf", TRANSFORMS, {"transforms": transforms}
-    K, (width, height) = scene.K[n], scene.size
-    size = {"width": width, "height": height, "distortion_model": "", "D": []}
-    matrices = {"K": K, "R": np.eye(3), "P": np.column_stack([K, np.zeros(3)])}
-    numbers = {name: M.ravel().tolist() for name, M in matrices.items()}
-    yield "/camera/calibration", CALIBRATION, seen | size | numbers
+    for camera in scene.cameras:
+        (width, height), K = camera.size, camera.K[n]
+        size = {"width": width, "height": height, "distortion_model": "", "D": []}
+        matrices = {"K": K, "R": np.eye(3), "P": np.column_stack([K, np.zeros(3)])}
+        numbers = {key: M.ravel().tolist() for key, M in matrices.items()}
+        yield f"/{camera.name}/calibration", CALIBRATION, now | {"frame_id": camera.name} | size | numbers
     for hand in hands:
         if hand.joints is not None:
             poses = [_pose_message(se3.rigid(np.eye(3), joint)) for joint in hand.joints[n]]
             joints = {"poses": [{"position": t, "orientation": q} for t, q in poses]}
             yield f"/{hand.name}/joints", POSES, now | {"frame_id": hand.name} | joints
-    if scene.image_files and (source := scene.image_files[n]) is not None:
-        content, kind = _read_encoded_image(source, scene.size)
-        yield "/camera/image", IMAGE, seen | {"data": base64.b64encode(content).decode(), "format": kind}
+    for camera in scene.cameras:
+        if (source := camera.image_files[n]) is not None:
+            content, kind = _read_encoded_image(source, camera.size)
+            encoded = {"data": base64.b64encode(content).decode(), "format": kind}
+            yield f"/{camera.name}/image", IMAGE, now | {"frame_id": camera.name} | encoded
 
 
 def _pose_message(T: Float[ndarray, "4 4"]) -> tuple[dict[str, float], dict[str, float]]:

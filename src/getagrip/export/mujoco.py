@@ -70,11 +70,14 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         piece = {"mesh": f"piece_{n:02d}", "density": f"{OBJECT_DENSITY_KG_M3:g}", "group": "3", **OBJECT_CONTACT_BITS}
         _add_element(body, "geom", type="mesh", **piece)
     moved = _add_mjcf_hand(world, assets, scene, bones, T_stage_hand, folder)
-    moved |= {"target": T_stage_obj, "camera": np.asarray(on_stage.T_stage_cam @ MUJOCO_CAMERA_AXES)}
+    moved |= {"target": T_stage_obj}
     _add_element(world, "body", name="target", mocap="true", **_pose_attributes(T_stage_obj[0]))
-    camera = _add_element(world, "body", name="camera", mocap="true", **_pose_attributes(moved["camera"][0]))
-    tall = 2.0 * np.degrees(np.arctan(scene.size[1] / 2.0 / scene.K[0, 1, 1]))  # degrees, whatever the compiler says
-    _add_element(camera, "camera", name="clip", fovy=f"{tall:.6g}")
+    for of in scene.cameras:
+        moves, name = ("camera", "clip") if of.name == "camera" else (f"camera_{of.name}", of.name)
+        moved[moves] = np.asarray(on_stage.T_stage_cam @ of.T_cam_view @ MUJOCO_CAMERA_AXES)
+        camera = _add_element(world, "body", name=moves, mocap="true", **_pose_attributes(moved[moves][0]))
+        tall = 2.0 * np.degrees(np.arctan(of.size[1] / 2.0 / of.K[0, 1, 1]))  # degrees, whatever the compiler says
+        _add_element(camera, "camera", name=name, fovy=f"{tall:.6g}")
     weld = {"name": "follow", "body1": "target", "body2": "object", "relpose": "0 0 0 1 0 0 0"}
     _add_element(_add_element(root, "equality"), "weld", **weld, **WELD_STIFFNESS)
     _add_keyframes(root, scene, T_stage_obj, moved)

@@ -11,6 +11,7 @@ import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation, Slerp
 
 from getagrip.clip import FINGERS, Clip, OtherHand, World
+from getagrip.clip.views import clip_in_view, find_cameras
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -30,6 +32,8 @@ from getagrip.result import FrameKind, Reconstruction
 from getagrip.result.findings import Verdict
 
 OBJECT_COLOUR, HAND_COLOUR = (0.47, 0.60, 0.68), (0.86, 0.68, 0.58)
+RESERVED_VIEW_NAMES = ("camera", "stage", "hand", "other_hand", "object", "obj")
+"""Names of other frames in the exports, which a view may not have."""
 EVEN_STEP_TOLERANCE = 0.5
 """Largest deviation from even times at which frames count as evenly spaced [steps]."""
 CAMERA_AXES_NOTE = "camera frame of each image: x right, y down, z forward; X_cam = T_cam_obj @ X_obj; metres"
@@ -61,6 +65,20 @@ class ExportedHand(NamedTuple):
     def joints_in_camera(self) -> Float[ndarray, "T 21 3"] | None:
         """Joints in the camera frame [m]; None where unknown."""
         return None if self.joints is None else se3.transform(self.T_cam_hand, self.joints)
+
+
+class ExportedView(NamedTuple):
+    """A further camera in T frames; in frames that its view lacks it is that of the nearest one."""
+
+    name: str
+    """Name of its files, frame and topics."""
+    T_cam_view: Float[ndarray, "T 4 4"]
+    """Pose in the frame of the clip's own camera [m]."""
+    K: Float[ndarray, "T 3 3"]
+    size: tuple[int, int]
+    """Width and height of its images [px]."""
+    image_files: tuple[Path | None, ...]
+    """Files of its images; None for a frame without."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +114,7 @@ class Scene:
         probability: calibrated probability that the poses are right relative to the hand; None without calibration.
         verdict: judgement of the result in a word: right, uncertain or wrong.
         findings_serious: number of serious findings; with any the result is probably worthless.
+        views: the further cameras.
         distance_interval: interval with 90 % of the object's distance from the camera, median over frames [m]; None if
             unknown.
     """
@@ -128,13 +147,18 @@ class Scene:
     verdict: Verdict = "uncertain"
     findings_serious: int = 0
     distance_interval: tuple[float, float] | None = None
+    views: tuple[ExportedView, ...] = ()
 
     @staticmethod
     def of(result: Reconstruction, clip: Clip) -> Scene:
         """Make the scene of a result and its clip. Raises ``InputError`` for frames that the clip lacks."""
-        warped = clip.take(clip.index_of(result.frames)).warped(result.warp)
+        index = clip.index_of(result.frames)
+        warped = clip.take(index).warped(result.warp)
         some = warped.with_hand_at(result.T_cam_hand, result.T_cam_other_hand, result.hand_scale)
-        away = result.distance_interval_mm
+        away, bop = result.distance_interval_mm, _provenance_file_names(clip.provenance.get("bop"))
+        views = [view.take(index) for view in find_cameras(clip)]
+        seen = [clip_in_view(some, view) for view in views]
+        names = _unique_names([view.name for view in views], {*RESERVED_VIEW_NAMES, *bop.values()})
         return Scene(
             name=clip.name,
             method=result.method,
@@ -157,13 +181,17 @@ class Scene:
             angle=None if result.axis is None else result.axis.angle,
             notes=result.notes,
             world=some.world,
-            bop=_provenance_file_names(clip.provenance.get("bop")),
+            bop=bop,
             image_files=tuple(some.image_file(n) for n in range(len(some))),
             other_hand=some.other_hand,
             probability=None if result.probability_right is None else result.probability_right.value,
             verdict=result.verdict,
             findings_serious=sum(finding.serious for finding in result.findings),
             distance_interval=None if away is None else (away[0] / 1e3, away[1] / 1e3),
+            views=tuple(
+                ExportedView(name, view.T_cam_view, view.K, view.size, tuple(map(by.image_file, range(len(by)))))
+                for name, view, by in zip(names, views, seen, strict=True)
+            ),
         )
 
     def even(self, fps: float) -> Scene:
@@ -204,6 +232,24 @@ class Scene:
             world=None if self.world is None else replace(self.world, T_world_cam=poses(self.world.T_world_cam)),
             image_files=tuple(self.image_files[n] for n in near) if self.image_files else (),
             other_hand=None if other is None else other.take(near),
+            views=tuple(
+                view._replace(
+                    T_cam_view=poses(view.T_cam_view), K=vectors(view.K),
+                    image_files=tuple(view.image_files[n] for n in near),
+                )
+                for view in self.views
+            ),
+        )  # fmt: skip
+
+    def in_view(self, view: ExportedView) -> Scene:
+        """Return the scene in the frame of a further camera, with its images; IOU are those of the clip's own masks."""
+        T, other = se3.inverse(view.T_cam_view), self.other_hand
+        if other is not None:
+            other = OtherHand(replace(other.track, T_cam_hand=T @ other.track.T_cam_hand), other.known)
+        world = self.world and replace(self.world, T_world_cam=self.world.T_world_cam @ view.T_cam_view)
+        return replace(
+            self, T_cam_hand=T @ self.T_cam_hand, other_hand=other, world=world, K=view.K, size=view.size,
+            image_files=view.image_files, views=(),
         )  # fmt: skip
 
     @property
@@ -232,6 +278,15 @@ class Scene:
         return [self.hand, other]
 
     @property
+    def cameras(self) -> list[ExportedView]:
+        """The clip's own camera, as ``camera``, and the further ones."""
+        T, files_of_images = (
+            np.tile(np.eye(4), (len(self.frames), 1, 1)),
+            self.image_files or (None,) * len(self.frames),
+        )
+        return [ExportedView("camera", T, self.K, self.size, files_of_images), *self.views]
+
+    @property
     def joints_in_camera(self) -> Float[ndarray, "T 21 3"] | None:
         """The hand's joints in the camera frame [m]; None where unknown."""
         return self.hand.joints_in_camera
@@ -257,6 +312,7 @@ class Scene:
         if self.other_hand is not None:
             hand = self.hands[1]
             other = {"known": hand.known, "T_cam_hand": hand.T_cam_hand, "joints_cam": hand.joints_in_camera}
+        views = {view.name: {"size": view.size, "K": view.K, "T_cam_view": view.T_cam_view} for view in self.views}
         return {
             "clip": self.name,
             "method": self.method,
@@ -277,12 +333,21 @@ class Scene:
             "poses": self.poses,
             "joints_cam": self.joints_in_camera,
             "other_hand": other,
+            **({"views": views} if views else {}),
         }
 
 
 def safe_file_name(text: str) -> str:
     """Convert text to letters, digits, points and hyphens, for file names and identifiers of any program."""
     return re.sub(r"[^A-Za-z0-9.-]+", "-", text).strip("-.")[:80] or "clip"
+
+
+def _unique_names(names: Iterable[str], taken: set[str]) -> list[str]:
+    """Return file names of views, each once, and none that is taken."""
+    found = list[str]()
+    for safe in map(safe_file_name, names):
+        found.append(next(name for k in count() if (name := safe + "-view" * k) not in {*taken, *found}))
+    return found
 
 
 def frame_file_names(frames: Sequence[str]) -> list[str]:

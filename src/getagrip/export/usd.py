@@ -16,7 +16,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, ExportedHand, Scene, StageFrame, linear_colours
+from getagrip.export.scene import (
+    HAND_COLOUR,
+    OBJECT_COLOUR,
+    ExportedHand,
+    ExportedView,
+    Scene,
+    StageFrame,
+    linear_colours,
+)
 from getagrip.io import plugins
 
 if TYPE_CHECKING:
@@ -57,13 +65,19 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         shown.GetDisplayColorPrimvar().SetInterpolation(UsdGeom.Tokens.vertex)
     for hand in scene.hands:
         _add_usd_hand(stage, hand, np.asarray(on_stage.T_stage_cam @ hand.T_cam_hand), codes)
-    _add_camera(stage, scene, on_stage, codes)
+    if scene.views:
+        UsdGeom.Scope.Define(stage, "/clip/views")
+    for k, camera in enumerate(scene.cameras):
+        path = "/clip/camera" if k == 0 else f"/clip/views/{_pxr('Tf').MakeValidIdentifier(camera.name)}"
+        path += f"_{k}" * bool(stage.GetPrimAtPath(path))  # names that differ in what no identifier has
+        _add_camera(stage, path, camera, np.asarray(on_stage.T_stage_cam @ camera.T_cam_view), codes)
     if not stage.GetRootLayer().Export(str(folder / USD_FILE)):
         raise OSError(f"{folder / USD_FILE}: USD could not write it")
     hands = " and ".join(f"/clip/{hand.name}" for hand in scene.hands)
+    cameras = "/clip/camera" + " and those of /clip/views" * bool(scene.views)
     return {
         USD_FILE: f"USD: {on_stage.words}; /clip/object and {hands} with time-sampled transforms, a hand's points and "
-        "joints in its own frame, /clip/camera; /clip has T_cam_obj and the like (transposed, as in USD)"
+        f"joints in its own frame, {cameras}; /clip has T_cam_obj and the like (transposed, as in USD)"
     }
 
 
@@ -130,16 +144,18 @@ def _add_mesh(
     return mesh
 
 
-def _add_camera(stage: Usd.Stage, scene: Scene, on_stage: StageFrame, codes: list[float]) -> None:
-    """Add the clip's camera: apertures in tenths of a unit for the image's width and height."""
+def _add_camera(
+    stage: Usd.Stage, path: str, seen: ExportedView, T_stage_cam: Float[ndarray, "T 4 4"], codes: list[float]
+) -> None:
+    """Add a camera: apertures in tenths of a unit for the image's width and height."""
     UsdGeom, Gf = _pxr("UsdGeom"), _pxr("Gf")
-    camera = UsdGeom.Camera.Define(stage, "/clip/camera")
+    camera = UsdGeom.Camera.Define(stage, path)
     move = camera.AddTransformOp()
-    width, height = scene.size
+    width, height = seen.size
     pixel = CAMERA_APERTURE / width  # square in USD: the image's height absorbs the ratio of the focal lengths
     camera.CreateHorizontalApertureAttr(CAMERA_APERTURE)
     camera.CreateClippingRangeAttr(Gf.Vec2f(0.01, 100.0))
-    for code, T, K in zip(codes, on_stage.T_stage_cam @ USD_CAMERA_AXES, scene.K, strict=True):
+    for code, T, K in zip(codes, T_stage_cam @ USD_CAMERA_AXES, seen.K, strict=True):
         move.Set(_usd_matrix(T), code)
         camera.CreateFocalLengthAttr().Set(float(K[0, 0] * pixel), code)
         tall = pixel * K[0, 0] / K[1, 1]

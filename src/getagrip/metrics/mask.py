@@ -13,7 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.clip import Masks
+from getagrip.clip import Clip, Masks
+from getagrip.clip.masks import occluded_by_hand
+from getagrip.clip.views import View, clip_in_view, masks_in_view
 from getagrip.geometry import se3
 from getagrip.geometry.camera import crops_around
 from getagrip.geometry.mesh import Mesh
@@ -69,6 +71,24 @@ def iou_of_poses(
     """Compute the IOU of a posed object with the observed masks, per frame."""
     posed = [Mesh(se3.transform(T, scale * mesh.vertices), mesh.faces) for T in T_cam_obj]
     return iou_of_meshes(posed, K, masks)
+
+
+def iou_in_views(
+    clip: Clip, views: Sequence[View], mesh: Mesh, scale: float, T_cam_obj: Float[ndarray, "T 4 4"]
+) -> dict[str, Float[ndarray, "T"]]:
+    """Compute the IOU in the whole images of further views of a clip, by name, for those whose masks show the object.
+
+    ``clip`` has the hand that hides the object where a view has no ignore masks. Raises ``InputError``.
+    """
+    found = {}
+    for view in views:
+        seen = clip_in_view(clip, view)
+        masks = masks_in_view(seen, view)
+        if masks is None or not masks.observed.any():
+            continue
+        judged = masks if masks.say_what_hides else occluded_by_hand(seen, masks)
+        found[view.name] = iou_of_poses(mesh, scale, view.T_view_cam @ T_cam_obj, view.K, judged).full
+    return found
 
 
 def iou_of_meshes(meshes: Sequence[Mesh | None], K: Float[ndarray, "T 3 3"], masks: Masks) -> MaskIou:

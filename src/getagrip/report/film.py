@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -15,17 +15,21 @@ from scipy.spatial import ConvexHull, QhullError
 
 from getagrip.fitting.methods import label_of
 from getagrip.geometry import se3
+from getagrip.geometry.camera import Crops
 from getagrip.geometry.rasterize import nearest_surface, render_rgb
 from getagrip.io.images import write_video
 from getagrip.report.pictures.panels import HAND_RGB, INK_COLOUR, PAPER_RGB, STATE_COLOURS, object_rgb
-from getagrip.report.pictures.result_view import View, result_times
+from getagrip.report.pictures.result_view import OWN_CAMERA, View, result_times
 from getagrip.report.pictures.stored_results import draw_overlay, draw_side_view, smooth_windows
 
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont
 
 FILM_PANEL_PX, CAPTION_HEIGHT_PX, CAPTION_MARGIN_PX = 540, 36, 12
-"""Side of each of the two pictures, height of the caption below them, and the caption's margin [px]."""
+"""Side of each of two pictures, height of the caption below them, and the caption's margin [px]."""
+MIN_FILM_PANEL_PX = 120
+"""Side of each of many pictures, at least [px]."""
+MIN_LETTER_PX = 12
 MIN_FILM_FPS, MAX_FILM_FPS = 1.0, 120.0
 FILM_ELEVATION_RAD = np.radians(28.0)
 """Elevation from which the camera looks down on the ground, where up is known."""
@@ -47,15 +51,50 @@ Mesh3 = tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"], tuple[float, float, fl
 
 
 def write_film(view: View, path: Path) -> Path:
-    """Write all frames of a result as MP4 (H.264) and return its path.
+    """Write all frames of a result as MP4 (H.264) and return its path: what each camera sees, and a rendering.
 
     Raises ``InputError`` for an image that cannot be read, ``GetagripError`` where PyAV has no encoder for H.264.
     """
     in_world = bool(view.clip.segments) and view.clip.world is not None
-    pictures = _timeline_frames(view) if in_world else _overlay_and_turned_frames(view)
-    size = 2 * FILM_PANEL_PX, FILM_PANEL_PX + CAPTION_HEIGHT_PX * (1 + in_world)
+    layout = FilmLayout.of(2 + len(view.cameras))
+    pictures = (_timeline_frames if in_world else _overlay_and_turned_frames)(view, layout)
+    size = layout.width, layout.height + CAPTION_HEIGHT_PX * (1 + in_world)
     write_video(path, pictures, _film_fps(view), size)
     return path
+
+
+@dataclass(frozen=True)
+class FilmLayout:
+    """Square pictures in rows, ``columns`` in each, with sides of ``panel`` pixels; rows are filled up with paper."""
+
+    panels: int
+    columns: int
+    panel: int
+
+    @staticmethod
+    def of(panels: int) -> FilmLayout:
+        """Choose columns and sizes: pictures, at least two, in a square or a little wider, as wide as two."""
+        columns = int(np.ceil(np.sqrt(panels)))
+        return FilmLayout(panels, columns, max(MIN_FILM_PANEL_PX, 2 * (FILM_PANEL_PX // columns)))
+
+    @property
+    def width(self) -> int:
+        """Width of all pictures [px]."""
+        return self.columns * self.panel
+
+    @property
+    def height(self) -> int:
+        """Height of all pictures [px]."""
+        return -(-self.panels // self.columns) * self.panel
+
+    def joined(self, pictures: Sequence[UInt8[ndarray, "panel panel 3"]]) -> UInt8[ndarray, "H W 3"]:
+        """Join the pictures, row by row."""
+        out = np.empty((self.height, self.width, 3), dtype=np.uint8)
+        out[:] = np.round(255.0 * np.array(PAPER_RGB))
+        for k, picture in enumerate(pictures):
+            top, left = (self.panel * at for at in divmod(k, self.columns))
+            out[top : top + self.panel, left : left + self.panel] = picture
+        return out
 
 
 def _film_fps(view: View) -> Fraction:
@@ -66,20 +105,36 @@ def _film_fps(view: View) -> Fraction:
     return Fraction(float(np.clip(rate, MIN_FILM_FPS, MAX_FILM_FPS))).limit_denominator(1001)
 
 
-def _overlay_and_turned_frames(view: View) -> Iterator[UInt8[ndarray, "H W 3"]]:
-    crops = smooth_windows(view, FILM_PANEL_PX)
+def _overlay_and_turned_frames(view: View, layout: FilmLayout) -> Iterator[UInt8[ndarray, "H W 3"]]:
+    crops, others = smooth_windows(view, layout.panel), _further_views(view, layout)
     for n, under in enumerate(_frame_captions(view)):
-        pair = np.concatenate([draw_overlay(view, n, crops, n), draw_side_view(view, n, crops, n)], axis=1)
-        yield np.concatenate([pair, _caption_strip(under)])
+        own, turned = draw_overlay(view, n, crops, n), draw_side_view(view, n, crops, n)
+        own = draw_caption(own, OWN_CAMERA) if others else own
+        yield np.concatenate([layout.joined([own, *_draw_others(others, n), turned]), _caption_strip(under, layout)])
 
 
-def _timeline_frames(view: View) -> Iterator[UInt8[ndarray, "H W 3"]]:
-    crops, stage = smooth_windows(view, FILM_PANEL_PX), FilmStage.of(view, FILM_PANEL_PX)
+def _timeline_frames(view: View, layout: FilmLayout) -> Iterator[UInt8[ndarray, "H W 3"]]:
+    crops, stage = smooth_windows(view, layout.panel), FilmStage.of(view, layout.panel)
+    others = _further_views(view, layout)
     for n, under in enumerate(_frame_captions(view)):
-        seen = draw_caption(draw_overlay(view, n, crops, n), "from the camera")
-        pair = np.concatenate([seen, draw_caption(stage.picture(n), "in the world")], axis=1)
-        bar = draw_segment_bar(view, n, (2 * FILM_PANEL_PX, CAPTION_HEIGHT_PX))
-        yield np.concatenate([pair, bar, _caption_strip(under)])
+        seen = draw_caption(draw_overlay(view, n, crops, n), OWN_CAMERA if others else "from the camera")
+        panels = [seen, *_draw_others(others, n), draw_caption(stage.picture(n), "in the world")]
+        bar = draw_segment_bar(view, n, (layout.width, CAPTION_HEIGHT_PX))
+        yield np.concatenate([layout.joined(panels), bar, _caption_strip(under, layout)])
+
+
+def _further_views(view: View, layout: FilmLayout) -> list[tuple[list[str], View, Crops]]:
+    """Return what each further camera sees: its name and IOU in each frame as a caption, itself, and its windows."""
+    found = []
+    for name, seen in view.in_each_view().items():
+        met = ["" if np.isnan(iou) else f"  ·  IOU {100 * iou:.0f} %" for iou in seen.measured_iou()]
+        found.append(([name + words for words in met], seen, smooth_windows(seen, layout.panel)))
+    return found
+
+
+def _draw_others(others: Sequence[tuple[list[str], View, Crops]], n: int) -> Iterator[UInt8[ndarray, "side side 3"]]:
+    for captions, seen, crops in others:
+        yield draw_caption(draw_overlay(seen, n, crops, n), captions[n])
 
 
 def _frame_captions(view: View) -> Iterator[str]:
@@ -91,10 +146,10 @@ def _frame_captions(view: View) -> Iterator[str]:
         yield "  ·  ".join([f"frame {name}", *[kind] * (kind == "interpolated"), *shared, clip.name])
 
 
-def _caption_strip(words: str) -> UInt8[ndarray, "STRIP W 3"]:
+def _caption_strip(words: str, layout: FilmLayout) -> UInt8[ndarray, "STRIP W 3"]:
     from PIL import Image, ImageDraw
 
-    strip = Image.new("RGB", (2 * FILM_PANEL_PX, CAPTION_HEIGHT_PX), "white")
+    strip = Image.new("RGB", (layout.width, CAPTION_HEIGHT_PX), "white")
     left = (CAPTION_MARGIN_PX, CAPTION_HEIGHT_PX / 2)
     ImageDraw.Draw(strip).text(left, words, INK_COLOUR, load_font(CAPTION_HEIGHT_PX // 2), "lm")
     return np.asarray(strip)
@@ -267,7 +322,7 @@ def draw_caption(picture: UInt8[ndarray, "H W 3"], words: str) -> UInt8[ndarray,
     from PIL import Image, ImageDraw
 
     image = Image.fromarray(picture)
-    size = len(picture) // 28
+    size = max(len(picture) // 28, MIN_LETTER_PX)
     ImageDraw.Draw(image).text((size / 2, size / 2), words, INK_COLOUR, load_font(size))
     return np.asarray(image)
 

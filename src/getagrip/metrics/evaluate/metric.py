@@ -133,6 +133,9 @@ IOU = Metric(
     label="IOU",
 )  # fmt: skip
 """IOU in a crop around each mask; results store the IOU in the whole image."""
+IOU_FULL = Metric("iou_full", lambda it, _: it.iou.full, heading="full\nIOU", meaning="full IOU: in the whole image")
+IOU_OF_VIEW = f"{IOU_FULL.name}:"
+"""Key of the same in a further view, before its name."""
 ADD_MM = Metric(
     "add_mm",
     lambda it, _: 1e3 * it.errors.add,
@@ -177,7 +180,7 @@ _bop_metric = partial(Metric, group="recall", needs_truth=True)
 _METRICS: tuple[Metric, ...] = (
     IOU,
     Metric("iou_soft", lambda it, _: it.iou.soft),
-    Metric("iou_full", lambda it, _: it.iou.full, heading="full\nIOU", meaning="full IOU: in the whole image"),
+    IOU_FULL,
     ADD_MM,
     Metric(
         "add_success", lambda it, _: float(it.errors.success), "%", "ADD", label="ADD", decimals=0, needs_truth=True,

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 from urllib.parse import unquote_to_bytes
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks, check_masks, find_masks, input_sha256, read_clip
+from getagrip.clip.views import find_cameras
 from getagrip.errors import InputError, NamedFields, check_arguments, escape_unprintable
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -31,8 +32,17 @@ from getagrip.metrics.contact import (
     stable_contact,
 )
 from getagrip.metrics.evaluate.comparison import Comparison, with_result_hands
-from getagrip.metrics.evaluate.metric import METRICS, SCA, TRUE_SCA, Metric, compute_metrics, nan_mean
-from getagrip.metrics.mask import MaskIou, iou_of_poses
+from getagrip.metrics.evaluate.metric import (
+    IOU_FULL,
+    IOU_OF_VIEW,
+    METRICS,
+    SCA,
+    TRUE_SCA,
+    Metric,
+    compute_metrics,
+    nan_mean,
+)
+from getagrip.metrics.mask import MaskIou, iou_in_views, iou_of_poses
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.result import Reconstruction, read_result
 
@@ -95,6 +105,12 @@ class Evaluation(NamedFields, Brief):
         """The metrics of the clip; those of a timeline's stable contact are of its grasps."""
         return self.metrics | self.metrics_of_grasps
 
+    @property
+    def iou_of_views(self) -> dict[str, float]:
+        """The mean IOU in the whole images of each further view, by its name."""
+        known = {key: value for key, value in self.metrics.items() if key.startswith(IOU_OF_VIEW)}
+        return {key.removeprefix(IOU_OF_VIEW): value for key, value in known.items()}
+
     def fields(self) -> dict[str, object]:
         """Return the fields as ``evaluate --json`` writes them, without empty ones."""
         entry = {key: value for key, value in asdict(self).items() if value or key in ("symmetry", "metrics")}
@@ -143,7 +159,7 @@ def evaluate(
         result: the reconstruction, from ``reconstruct`` or ``read_result``. Only its frames are measured.
         clip: the clip that was reconstructed. Without ground truth (``clip.clip``) only IOU, contact and penetration
             are measured; with it also the errors of the poses, such as ADD.
-        masks: masks of all frames of the clip. If None, IOU is not measured.
+        masks: masks of all frames of the clip. If None, IOU is measured in further views only.
         contacts: definitions of contact (distance and points) for the metrics of stable contact; None for all nine.
         wanted: the metrics to compute; None for all.
         progress: True for a bar on a terminal or in a notebook; or a function of a metric's name and of the fraction
@@ -151,7 +167,8 @@ def evaluate(
 
     Returns:
         Numbers for the whole clip (``metrics``) and for each frame (``per_frame``), under names that end in their
-        units. A very large mesh is measured with fewer faces; ``notes`` then gives their number.
+        units, or in a colon and the name of a further view. A very large mesh is measured with fewer faces; ``notes``
+        then gives their number.
 
     Raises:
         InputError: the clip lacks a frame of the result.
@@ -161,6 +178,7 @@ def evaluate(
     wanted = tuple(METRICS.working().values()) if wanted is None else wanted
     if masks is not None:
         check_masks(clip, masks)
+    views = iou_of_views(result, clip) if IOU_FULL in wanted else {}
     index, whole_mesh, clip = clip.index_of(result.frames), clip.mesh, clip.light()
     clip = clip.take(index).with_hand_at(result.T_cam_hand, scale=result.hand_scale)
     masks = None if masks is None else masks.take(index)
@@ -172,12 +190,28 @@ def evaluate(
     hands, fitted = clip.with_hand_at(None, result.T_cam_other_hand), result.frames_of("sampled", "fitted")
     return replace(
         made,
+        metrics=made.metrics | {key: nan_mean(values) for key, values in views.items()},
+        per_frame=made.per_frame | {key: values.tolist() for key, values in views.items()},
         metrics_of_grasps=sca_in_grasps(hands, found, track, it.contacts, it.reach) if SCA in wanted else {},
         metrics_of_fitted=compute_metrics(it.take(fitted), wanted)[0] if 0 < len(fitted) < len(clip) else {},
         frame_kind=result.frame_kind,
         findings=tuple(map(str, result.findings)),
         notes=(*clip.mesh.stands_for(whole_mesh, "measured"), *([TIMELINE_METRICS_NOTE] if result.segments else [])),
     )
+
+
+def iou_of_views(result: Reconstruction, clip: Clip) -> dict[str, Float[ndarray, "T"]]:
+    """Compute a result's IOU in each frame of the clip's further views, by the metrics' keys; empty without views.
+
+    Raises ``InputError``.
+    """
+    views, index = find_cameras(clip), clip.index_of(result.frames)
+    if not views:
+        return {}
+    light, views = clip.take(index).light().warped(result.warp), tuple(view.take(index) for view in views)
+    at = light.with_hand_at(result.T_cam_hand, result.T_cam_other_hand, result.hand_scale)
+    found = iou_in_views(at, views, at.mesh, result.scale, at.hand.T_cam_hand @ result.T_hand_obj)
+    return {f"{IOU_OF_VIEW}{name}": values for name, values in found.items()}
 
 
 def evaluate_comparison(

@@ -33,6 +33,7 @@ from getagrip.metrics.evaluate.metric import (
     ADD_MM,
     ADD_SYM_CAM_MM,
     ADD_SYM_MM,
+    IOU_FULL,
     METRICS,
     REPLAY_STABILITY,
     ROTATION_SYM,
@@ -41,7 +42,7 @@ from getagrip.metrics.evaluate.metric import (
 )
 from getagrip.metrics.evaluate.results import Evaluation
 from getagrip.report.pages import scene_data
-from getagrip.report.pages.scene_data import FRAME_PICTURE_PX, draw_page_frame, object_outline
+from getagrip.report.pages.scene_data import FRAME_PICTURE_PX, VIEW_PICTURE_PX, draw_page_frame
 from getagrip.report.pictures.contact_colours import CONTACT_BORDER_M, decimate_view, subdivide_object, surface_gap
 from getagrip.report.pictures.panels import (
     AXIS_COLOUR,
@@ -146,9 +147,14 @@ def write_page(view: View, evaluation: Evaluation, record: Json, path: Path) -> 
     candidates = candidate_views(some)
     constant = scene_data.constant_arrays(candidates, surface)
     where, packed = pack_arrays(constant | scene_data.per_frame_arrays(some, surface))
-    pictures = [draw_page_frame(some, n, crops, n) for n in range(len(shown))]
-    for n, picture in enumerate(pictures):
-        picture["others"] = [object_outline(one, n, crops, n) for one in candidates[1:]]
+    pictures = [draw_page_frame(some, n, crops, n, candidates[1:]) for n in range(len(shown))]
+    views: list[list[dict[str, object]]] = [[] for _ in shown]
+    for camera in some.cameras:
+        seen, others = some.in_view(camera), [one.in_view(camera, with_masks=False) for one in candidates[1:]]
+        crops = smooth_windows(seen, VIEW_PICTURE_PX)
+        for n, iou in enumerate(seen.measured_iou().tolist()):
+            views[n].append(draw_page_frame(seen, n, crops, n, others, iou))
+    pictures = [picture | {"views": each} for picture, each in zip(pictures, views, strict=True)]
     column = describe_result(view, label, evaluation, record) | {"masked": view.masks is not None}
     column |= {"arrays": where, "packed": packed, "pictures": pictures}
     column["plots"].append(gap_plot(surface_gap(view)))
@@ -179,6 +185,7 @@ def timeline_data(view: View, shown: Int[ndarray, "n"]) -> Json:
             for s in segments
         ],
         "size": FRAME_PICTURE_PX,
+        "sizeOfViews": VIEW_PICTURE_PX,
         "near": near | {"reach": scene_data.MAX_EXACT_DISTANCE_M, "fades": CONTACT_BORDER_M},
         "colours": colours | {"observed": INK_COLOUR, "axis": AXIS_COLOUR},
     }
@@ -190,6 +197,7 @@ def describe_result(view: View, label: str, evaluation: Evaluation, record: Json
     main = _main_probability(result)
     if not np.isnan(result.mean_iou):
         main.append({"name": "IOU", "value": f"{100 * result.mean_iou:.1f} %"})
+    main += _iou_of_views(evaluation.iou_of_views)
     main += _main_metric_rows(evaluation.headline, bool(evaluation.metrics_of_grasps))
     main += _main_metric_rows({REPLAY_STABILITY.name: record.get("metrics", {}).get(REPLAY_STABILITY.name)}, False)
     hand = f"a {clip.side} hand" if clip.other_hand is None else "both hands"
@@ -209,6 +217,7 @@ def describe_result(view: View, label: str, evaluation: Evaluation, record: Json
             *_describe_segments(result),
             *map(str, result.notes),
         ],
+        "views": [camera.name for camera in view.cameras],
         "candidates": [{"energy": energy} for energy in result.candidates.energy.tolist()],
         "version": str(record.get("software", {}).get("getagrip", "")),
         "main": main,
@@ -238,6 +247,17 @@ def _main_probability(result: Reconstruction) -> list[dict[str, str]]:
     frames = ", ".join(where.split()[-1] for where in known)
     name = f"probability right: {frames}{' (* extrapolated)' if '*' in value else ''}"
     return [{"name": name, "value": value, "meaning": "\n".join(map(": ".join, probability_meanings(result).items()))}]
+
+
+def _iou_of_views(found: Mapping[str, float]) -> list[dict[str, str]]:
+    """Return one number for the IOU in all further views where known, with each of them folded."""
+    known = {name: value for name, value in found.items() if not np.isnan(value)}
+    if not known:
+        return []
+    low, high = (f"{100 * end(known.values()):.1f}" for end in (min, max))
+    name = f"IOU in {len(known)} further views" if len(known) > 1 else f"IOU in {next(iter(known))}"
+    each = "\n".join(f"{name}: {100 * value:.1f} %" for name, value in known.items())
+    return [{"name": name, "value": f"{low} to {high} %" if low != high else f"{low} %", "meaning": each}]
 
 
 def _main_metric_rows(metrics: Mapping[str, float | None], of_grasps: bool) -> list[dict[str, str]]:
@@ -288,6 +308,7 @@ def result_tables(view: View, evaluation: Evaluation, record: Json) -> list[dict
         for key, value in metrics.items()
         if key in known
     ]
+    values += [[f"{IOU_FULL.name}, in {name}", IOU_FULL.text(met)] for name, met in evaluation.iou_of_views.items()]
     content = {
         "What the probabilities mean": _key_value_rows(probability_meanings(result)),
         "Metrics (docs/metrics.md)": values,

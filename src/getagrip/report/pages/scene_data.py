@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from getagrip.errors import GetagripError
-from getagrip.geometry.camera import Crops
+from getagrip.geometry.camera import Crops, backproject
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.rasterize import Surface
 from getagrip.report.pictures.contact_colours import CONTACT_BORDER_M, surface_distances
@@ -25,8 +25,8 @@ from getagrip.report.pictures.panels import (
 from getagrip.report.pictures.result_view import View
 from getagrip.report.pictures.stored_results import smooth_track
 
-FRAME_PICTURE_PX, FRAME_JPEG_QUALITY = 480, 78
-"""Side [px] and JPEG quality of the images."""
+FRAME_PICTURE_PX, VIEW_PICTURE_PX, FRAME_JPEG_QUALITY = 480, 320, 78
+"""Side of the clip's images and of those of further views [px], and JPEG quality."""
 DEFAULT_CONTACT_DISTANCE_M, MAX_CONTACT_SLIDER_M = 0.010, 0.020
 """Contact distance that a page opens with, and the largest that can be chosen [m]."""
 MAX_EXACT_DISTANCE_M = MAX_CONTACT_SLIDER_M + CONTACT_BORDER_M
@@ -35,21 +35,30 @@ FOCUS_SMOOTHING_S = 0.35
 """Standard deviation in time of the smoothing of the point that the 3D view looks at [s]."""
 
 
-def draw_page_frame(view: View, n: int, crops: Crops, k: int) -> dict[str, object]:
-    """Draw frame ``n`` in window ``k``: the image, and the contours of object, hands, ground truth and mask."""
+def draw_page_frame(
+    view: View, n: int, crops: Crops, k: int, others: Sequence[View] = (), iou: float | None = None
+) -> dict[str, object]:
+    """Draw frame ``n`` in window ``k``: the image, and the contours of object, hands, ground truth and mask.
+
+    Also the object's contour by each of the ``others``, and in words the ``iou``, if known.
+    """
     outlines = {"hand": _surfaces_outline(view.hands(n), view, n, crops, k)}
     if view.posed:
-        outlines["object"] = object_outline(view, n, crops, k)
+        outlines["object"] = _object_outline(view, n, crops, k)
     if not view.of_truth and (true := view.true()) is not None:
-        outlines["true"] = object_outline(true, n, crops, k)
+        outlines["true"] = _object_outline(true, n, crops, k)
     if view.masks is not None:
         lines = mask_contours(view.masks.object[n])
         outlines["observed"] = svg_paths((line - crops.corner[k]) * crops.zoom for line in lines)
-    return {"picture": jpeg_base64(crop_image(view, n, crops, k), FRAME_JPEG_QUALITY), "outlines": outlines}
+    out: dict[str, object] = {"picture": jpeg_base64(crop_image(view, n, crops, k), FRAME_JPEG_QUALITY)}
+    if others:
+        out["others"] = [_object_outline(other, n, crops, k) for other in others]
+    if iou is not None:
+        out["met"] = "no mask" if np.isnan(iou) else f"IOU {100 * iou:.0f} %"
+    return {**out, "outlines": outlines}
 
 
-def object_outline(view: View, n: int, crops: Crops, k: int) -> str:
-    """Return the contour of the posed object as SVG paths."""
+def _object_outline(view: View, n: int, crops: Crops, k: int) -> str:
     return _surfaces_outline([(view.object(n), view.clip.mesh.faces)], view, n, crops, k)
 
 
@@ -81,7 +90,8 @@ def constant_arrays(candidates: Sequence[View], surface: Mesh) -> dict[str, ndar
     ``candidates`` are a result's ``candidate_views``: ``scale``, ``T_hand_obj`` and ``axis`` have an entry for each.
     Metres; poses are 4x4 matrices of all frames. ``object_vertices`` are unscaled. ``other_hand_known`` is 1
     in the frames of the other hand. ``focus`` is the point to look at, in each camera frame; ``extent`` the approximate
-    diameter of hands and object together.
+    diameter of hands and object together. ``T_cam_views`` has the poses of the further cameras in each frame,
+    ``camera_corners`` the corners of the images at a distance of 1, first of the clip's own camera.
     """
     view = candidates[0]
     clip, result = view.clip, view.result
@@ -106,6 +116,10 @@ def constant_arrays(candidates: Sequence[View], surface: Mesh) -> dict[str, ndar
         out["T_cam_other_hand"] = other.track.T_cam_hand
     if result.axis is not None:
         out["axis"] = np.stack([_axis_endpoints(one) for one in candidates])
+    if view.cameras:
+        out["T_cam_views"] = np.stack([camera.T_cam_view for camera in view.cameras], axis=1)
+        shown = [(clip.K[0], clip.size), *((camera.K[0], camera.size) for camera in view.cameras)]
+        out["camera_corners"] = np.stack([backproject(K, _corners(size)) for K, size in shown])
     if clip.world is not None:
         out["T_world_cam"] = clip.world.T_world_cam
         if clip.world.up is not None:
@@ -137,6 +151,11 @@ def per_frame_arrays(view: View, surface: Mesh) -> dict[str, ndarray]:
     if truth is not None and not np.array_equal(truth.hand_vertices, hand.vertices):
         out["true_hand_vertices"] = truth.hand_vertices
     return {name: _compact_dtype(name, values) for name, values in out.items()}
+
+
+def _corners(size: tuple[int, int]) -> Float[ndarray, "4 2"]:
+    width, height = size
+    return np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
 
 
 def _scene_extent(view: View) -> float:

@@ -29,7 +29,7 @@ from getagrip.clip import read_available_masks, read_clip
 from getagrip.clip.clip import frame_indices
 from getagrip.errors import GetagripError, UsageError
 from getagrip.fitting.methods import label_of
-from getagrip.geometry.camera import Crops, project
+from getagrip.geometry.camera import Crops
 from getagrip.geometry.mesh import Mesh
 from getagrip.io import files
 from getagrip.io.files import Json
@@ -45,9 +45,9 @@ from getagrip.report.pages.result_page import (
     pack_arrays,
     timeline_data,
 )
-from getagrip.report.pages.scene_data import FRAME_PICTURE_PX, draw_page_frame
+from getagrip.report.pages.scene_data import FRAME_PICTURE_PX, VIEW_PICTURE_PX, draw_page_frame
 from getagrip.report.pictures.contact_colours import decimate_view, subdivide_object, surface_gap
-from getagrip.report.pictures.panels import input_windows
+from getagrip.report.pictures.panels import input_windows, seen_points
 from getagrip.report.pictures.result_view import View, candidate_view, candidate_views
 from getagrip.report.pictures.stored_results import (
     WINDOW_MARGIN_FACTOR,
@@ -133,7 +133,9 @@ class OpenColumn:
         """Return frame ``n`` with the candidate ``rank``."""
         view = candidate_view(self.at(np.array([n])), rank)
         arrays, packed = pack_arrays(scene_data.per_frame_arrays(view, self.surface))
-        return {**draw_page_frame(view, 0, self.windows, n), "arrays": arrays, "packed": packed}
+        each = zip(view.in_each_view().values(), self.windows_of_views, strict=True)
+        views = [draw_page_frame(seen, 0, windows, n, iou=_iou_of_frame(seen)) for seen, windows in each]
+        return {**draw_page_frame(view, 0, self.windows, n), "views": views, "arrays": arrays, "packed": packed}
 
     def at(self, index: Int[ndarray, "n"], with_hand: bool = False) -> View:
         """Return the view at some frames, with masks of the object and, if ``with_hand``, of the hand."""
@@ -148,14 +150,30 @@ class OpenColumn:
     @cached_property
     def windows(self) -> Crops:
         """Square windows of one size around hand and masks, one a frame, which follow the hand smoothly."""
+        return self._windows_around(self.view, self.at(self.sampled), FRAME_PICTURE_PX)
+
+    @cached_property
+    def windows_of_views(self) -> list[Crops]:
+        """Windows of each further view, in the order of the cameras."""
         some = self.at(self.sampled)
-        crops = input_windows([some], np.arange(len(some.clip)), FRAME_PICTURE_PX)
-        hand = np.array([np.mean(project(K, self.view.hand(n)), axis=0) for n, K in enumerate(self.view.clip.K)])
+        whole = [self.view.in_view(camera, with_masks=False) for camera in self.view.cameras]
+        each = zip(whole, some.in_each_view().values(), strict=True)
+        return [self._windows_around(view, sampled, VIEW_PICTURE_PX) for view, sampled in each]
+
+    def _windows_around(self, view: View, some: View, size: int) -> Crops:
+        """Return windows of all frames of a view, of which ``some`` has the sampled frames with their masks."""
+        crops = input_windows([some], np.arange(len(some.clip)), size)
+        hand = np.array([np.mean(seen_points(view, n, view.hand(n)), axis=0) for n in range(len(view.clip))])
         aside, every = crops.corner - hand[self.sampled], np.arange(len(hand))
         moved = np.stack([np.interp(every, self.sampled, aside[:, k]) for k in range(2)], axis=1)
-        middle = smooth_track(hand + moved + crops.side / 2.0, WINDOW_SMOOTHING_S * self.view.clip.fps)
+        middle = smooth_track(hand + moved + crops.side / 2.0, WINDOW_SMOOTHING_S * view.clip.fps)
         side = WINDOW_MARGIN_FACTOR * crops.side
-        return Crops(middle - side / 2.0, side, FRAME_PICTURE_PX)
+        return Crops(middle - side / 2.0, side, size)
+
+
+def _iou_of_frame(seen: View) -> float | None:
+    """Compute the IOU of the only frame of a view; None without a pose of the object."""
+    return float(seen.measured_iou()[0]) if seen.posed else None
 
 
 class ViewerLibrary:

@@ -20,7 +20,13 @@ from numpy import ndarray
 from getagrip.geometry import se3
 from getagrip.geometry.camera import Crops, bounding_boxes, project
 from getagrip.geometry.mesh import Mesh
-from getagrip.geometry.rasterize import Surface, depth_and_face, render_coverage, render_rgb
+from getagrip.geometry.rasterize import (
+    MIN_ZBUFFER_DEPTH_M,
+    Surface,
+    depth_and_face,
+    render_coverage,
+    render_rgb,
+)
 from getagrip.io.images import read_image
 from getagrip.report.pictures.result_view import View
 
@@ -195,7 +201,7 @@ AxisLine = tuple[Float[ndarray, "n 2"], Bool[ndarray, "n"]]
 
 def content_windows(views: Sequence[View], frames: Int[ndarray, "n"], size: int) -> Crops:
     """Return square windows of one size around hand and object of all views, at the same frames of one clip."""
-    shown = [[project(v.clip.K[n], np.concatenate([v.hand(n), v.object(n)])) for v in views] for n in frames]
+    shown = [[seen_points(v, n, np.concatenate([v.hand(n), v.object(n)])) for v in views] for n in frames]
     return _square_windows(shown, size)
 
 
@@ -203,10 +209,17 @@ def input_windows(views: Sequence[View], frames: Int[ndarray, "n"], size: int) -
     """Return windows around hands and observed masks, whose size a wrong, distant object does not affect."""
     shown = []
     for n in frames:
-        shown.append([project(view.clip.K[n], view.hand(n)) for view in views])
+        shown.append([seen_points(view, n, view.hand(n)) for view in views])
         for masks in (view.masks for view in views if view.masks is not None and view.masks.object[n].any()):
             shown[-1].append(bounding_boxes(masks.object[n : n + 1]).reshape(2, 2).astype(float))
     return _square_windows(shown, size)
+
+
+def seen_points(view: View, n: int, points: Float[ndarray, "_n 3"]) -> Float[ndarray, "_m 2"]:
+    """Project points of frame ``n``; the image's corners if some are behind its camera."""
+    if points[:, 2].min() > MIN_ZBUFFER_DEPTH_M:
+        return project(view.clip.K[n], points)
+    return np.array([(0.0, 0.0), view.clip.size])
 
 
 def _square_windows(shown: Sequence[Sequence[Float[ndarray, "_n 2"]]], size: int) -> Crops:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from getagrip.clip import Clip, Masks, check_masks
 from getagrip.errors import check_arguments
 from getagrip.fitting.methods import label_of
 from getagrip.io import files
-from getagrip.metrics.evaluate.metric import ADD_MM, ADD_SYM_MM, ROTATION_SYM
+from getagrip.metrics.evaluate.metric import ADD_MM, ADD_SYM_MM, IOU_OF_VIEW, ROTATION_SYM, nan_mean
 from getagrip.report.pictures.panels import (
     AXIS_COLOUR,
     INK_COLOUR,
@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-N_REPORT_TILES, REPORT_TILE_PX, FINDING_LINE_CHARACTERS = 5, 320, 150
+N_REPORT_TILES, REPORT_TILE_PX, FINDING_LINE_CHARACTERS, VIEW_NAME_CHARACTERS = 5, 320, 150, 18
+RENDERED_ROWS = ("result, from the camera", "result, from the side")
 TITLE_METRICS = {"ADD": ADD_MM, "ADD sym.": ADD_SYM_MM, "rotation": ROTATION_SYM}
 """Metrics in the title, each under a short name."""
 
@@ -72,7 +73,9 @@ def write_report(
 def report_figure(
     result: Reconstruction, clip: Clip, masks: Masks | None, metrics: Mapping[str, float] | None = None
 ) -> Figure:
-    """Draw the report as a matplotlib figure: three rows of tiles, one column a frame, above two plots over time.
+    """Draw the report as a matplotlib figure: rows of tiles, one column a frame, above two plots over time.
+
+    The rows show the image, that of each further view, and renderings from the camera and from the side.
 
     ``clip`` and ``masks`` may have more frames than the result. ``metrics`` are those of ``evaluate``, of which the
     title shows ``TITLE_METRICS``. Without images in the clip's folder the masks are drawn. Raises ``InputError`` for a
@@ -94,33 +97,46 @@ def _draw_report(view: View, metrics: Mapping[str, float]) -> Figure:
         width = left + right + N_REPORT_TILES * tile + (N_REPORT_TILES - 1) * gap
         found = [str(finding) for finding in view.result.findings]
         lines = [line for text in found for line in wrap(text, FINDING_LINE_CHARACTERS)]
+        rows = [("input and fitted contour", view), *_rows_of_views(view, metrics)]
         head, foot, plots, between = 1.22 + 0.2 * len(lines), 0.48, 1.75, 0.62
-        height = head + 3 * tile + 2 * gap + between + plots + foot
+        tiles = (len(rows) + len(RENDERED_ROWS)) * (tile + gap) - gap
+        height = head + tiles + between + plots + foot
         figure = Figure(figsize=(width, height), dpi=130)
         FigureCanvasAgg(figure)
         sheet = Sheet(figure, width, height, 130)
         _draw_report_title(figure, view, metrics, left / width, 1.0 - 0.2 / height, 0.27 / height)
         figure.text(left / width, 1.0 - 1.02 / height, "\n".join(lines), color=RESULT_COLOUR, fontsize=9.5, va="top")
         frames = np.unique(np.linspace(0, len(view.result.frames) - 1, N_REPORT_TILES).round().astype(int))
-        crops = content_windows([view], frames, REPORT_TILE_PX)
-        rows = ("input and fitted contour", "result, from the camera", "result, from the side")
-        for row, label in enumerate(rows):
-            top = head + row * (tile + gap)
-            figure.text(0.35 / width, 1.0 - (top + tile / 2) / height, label, rotation=90, ha="center", va="center")
+        for row, (label, seen) in enumerate([*rows, *((label, view) for label in RENDERED_ROWS)]):
+            top, crops = head + row * (tile + gap), content_windows([seen], frames, REPORT_TILE_PX)
+            beside: dict[str, Any] = {"rotation": 90, "ha": "center", "va": "center", "parse_math": False}
+            figure.text(0.35 / width, 1.0 - (top + tile / 2) / height, label, **beside)
             for k, n in enumerate(frames):
                 axes = sheet.axes(left + k * (tile + gap), top, tile, tile)
                 limits = {"xlim": (0, REPORT_TILE_PX), "ylim": (REPORT_TILE_PX, 0)}
                 axes.set(xticks=[], yticks=[], facecolor=PAPER_COLOUR, **limits)
                 if row == 0:
-                    draw_over_image(axes, view, int(n), crops, k)
                     axes.set_title(view.result.frames[n], fontsize=8.5, color=MUTED_COLOUR, pad=4)
+                if row < len(rows):
+                    draw_over_image(axes, seen, int(n), crops, k)
                 else:
-                    draw_rendered(axes, view, int(n), crops, k, from_side=row == 2)
-        top = head + 3 * tile + 2 * gap + between
+                    draw_rendered(axes, seen, int(n), crops, k, from_side=row > len(rows))
+        top = head + tiles + between
         half = (width - left - right - 0.75) / 2.0
         _angle_plot(sheet.axes(left, top, half, plots), view)
         _iou_plot(sheet.axes(left + half + 0.75, top, half, plots), view)
     return figure
+
+
+def _rows_of_views(view: View, metrics: Mapping[str, float]) -> list[tuple[str, View]]:
+    """Return the words beside each further view, its name and its mean IOU where known, and what its camera sees."""
+    rows = []
+    for name, seen in view.in_each_view().items():
+        met = metrics.get(f"{IOU_OF_VIEW}{name}")
+        met = nan_mean(seen.measured_iou()) if met is None else met
+        known = "" if np.isnan(met) else f", IOU {100 * met:.1f} %"
+        rows.append((f"{name[:VIEW_NAME_CHARACTERS]}{'...' * (len(name) > VIEW_NAME_CHARACTERS)}{known}", seen))
+    return rows
 
 
 def _draw_report_title(

@@ -12,16 +12,27 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks, Segment
+from getagrip.clip import views as clip_views
+from getagrip.clip.masks import occluded_by_hand
+from getagrip.clip.views import clip_in_view, find_cameras, masks_in_view
+from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, diameter
 from getagrip.geometry.rasterize import Surface
+from getagrip.metrics.mask import iou_of_poses
 from getagrip.result import Axis, Reconstruction
 from getagrip.stable_grasps.axis import pose_hinge
+
+OWN_CAMERA = "camera"
+"""Name of a clip's own camera among its views."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A result with its clip and masks at the result's frames, with hand and mesh as the result has them."""
+    """A result with its clip and masks at the result's frames, with hand and mesh as the result has them.
+
+    It is what the clip's own camera sees, or another one (``in_view``).
+    """
 
     clip: Clip
     masks: Masks | None
@@ -34,6 +45,8 @@ class View:
     """True if the object's poses are known; False for a hand alone (``hand_only_view``)."""
     frame_meshes: Sequence[Mesh | None] | None = None
     """A mesh per frame in the hand frame [m], from a system without a CAD model, in place of the posed mesh."""
+    cameras: tuple[clip_views.View, ...] = ()
+    """The further cameras, at the result's frames."""
 
     @property
     def frames_in_words(self) -> str:
@@ -96,7 +109,42 @@ class View:
         """Make the view of a result with a clip and masks at the same frames."""
         light = clip.light()
         seen = light.warped(result.warp).with_hand_at(result.T_cam_hand, result.T_cam_other_hand, result.hand_scale)
-        return View(seen, masks, result, light.mesh)
+        return View(seen, masks, result, light.mesh, cameras=find_cameras(clip))
+
+    def in_view(self, camera: clip_views.View, with_masks: bool = True) -> View:
+        """Return what a further camera sees: poses in its frame, its masks and its images; axis and IOU as they are.
+
+        Raises ``InputError`` for masks that do not read.
+        """
+        clip = clip_in_view(self.clip, camera)
+        masks = masks_in_view(clip, camera) if with_masks else None
+        result = replace(self.result, T_cam_hand=None, T_cam_other_hand=None)
+        return replace(self, clip=clip, masks=masks, result=result, cameras=())
+
+    def in_each_view(self) -> dict[str, View]:
+        """Return what each further camera sees, by name. Raises as ``in_view`` does."""
+        return {camera.name: self.in_view(camera) for camera in self.cameras}
+
+    def seen_by(self, name: str) -> View:
+        """Return what one camera alone sees, the clip's own (``OWN_CAMERA``) or a further one.
+
+        Raises ``UsageError`` for a name that the clip lacks, and as ``in_view`` does.
+        """
+        if name == OWN_CAMERA:
+            return replace(self, cameras=())
+        camera = next((one for one in self.cameras if one.name == name), None)
+        if camera is None:
+            known = " or ".join((OWN_CAMERA, *(one.name for one in self.cameras)))
+            raise UsageError(f"--view must be {known} for the clip {self.clip.name} (got {name!r})")
+        return self.in_view(camera)
+
+    def measured_iou(self) -> Float[ndarray, "T"]:
+        """Compute the IOU in the whole images, as this view's camera sees it; NaN without a mask of the object."""
+        if self.masks is None:
+            return np.full(len(self.clip), np.nan)
+        masks = self.masks if self.masks.say_what_hides else occluded_by_hand(self.clip, self.masks)
+        poses = self.clip.hand.T_cam_hand @ self.result.T_hand_obj
+        return iou_of_poses(self.clip.mesh, self.result.scale, poses, self.clip.K, masks).full
 
     def image_file(self, n: int) -> Path | None:
         """Return the file of the frame's image; None without one."""
@@ -120,7 +168,10 @@ class View:
         )
         masks = None if self.masks is None else self.masks.take(index)
         meshes = None if self.frame_meshes is None else [self.frame_meshes[n] for n in index]
-        return replace(self, clip=self.clip.take(index), masks=masks, result=taken, frame_meshes=meshes)
+        cameras = tuple(camera.take(index) for camera in self.cameras)
+        return replace(
+            self, clip=self.clip.take(index), masks=masks, result=taken, frame_meshes=meshes, cameras=cameras
+        )
 
     def true(self) -> View | None:
         """Return the view of the ground truth; None where unknown."""

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from getagrip.clip import Clip, read_clip
+from getagrip.clip.views import find_cameras
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import Crops
@@ -72,14 +73,15 @@ def ground_truth_view(folder: Path) -> View:
     axis = Axis(hinge.point, hinge.direction, np.unwrap(hinge.angles(R, centre)))
     motion = replace(Reconstruction.external(clip.name, "one-dof", clip.frames, T_hand_obj, truth.scale), axis=axis)
     hand = replace(clip.hand, vertices=truth.hand_vertices, T_cam_hand=truth.T_cam_hand)
-    return View(replace(clip, hand=hand, scale="known"), None, motion, of_truth=True)
+    true = replace(clip, hand=hand, scale="known")
+    return View(true, None, motion, of_truth=True, cameras=find_cameras(true))
 
 
 def hand_only_view(clip: Clip) -> View:
     """Return the view of a clip without poses of the object."""
     still = np.tile(np.eye(4), (len(clip), 1, 1))
     nothing = Reconstruction.external(clip.name, "", clip.frames, still)
-    return View(clip.light(), None, nothing, posed=False)
+    return View(clip.light(), None, nothing, posed=False, cameras=find_cameras(clip))
 
 
 def at_common_frames(results: Sequence[tuple[StoredResult, View]]) -> list[View]:

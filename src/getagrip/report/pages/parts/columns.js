@@ -24,14 +24,41 @@ function table(head, rows, chosen) {
   return element("table", {}, ...lines);
 }
 
+/** An image with contours over it, in an element of the page. */
+class Footage {
+  constructor(place, size, colours) {
+    this.part = (name) => place.querySelector(name);
+    this.paths = {};
+    this.part("svg").setAttribute("viewBox", `0 0 ${size} ${size}`);
+    for (const name of ["observed", "hand", "true", "object"]) {
+      const [halo, line] = ["halo", "line"].map((kind) => element("path", { class: kind, stroke: kind === "line" ? colours[name] : "#fff" }));
+      this.paths[name] = element("g", { class: name }, halo, line);
+      this.part("svg").append(this.paths[name]);
+    }
+  }
+
+  show({ picture, outlines }) {
+    this.part(".picture").hidden = false;
+    this.part(".picture").src = `data:image/jpeg;base64,${picture}`;
+    for (const [name, group] of Object.entries(this.paths)) {
+      for (const path of group.children) path.setAttribute("d", outlines[name] || "");
+    }
+  }
+
+  turn(name, on) {
+    if (this.paths[name]) this.paths[name].setAttribute("visibility", on ? "visible" : "hidden");
+  }
+}
+
 class Column {
   /** `said` is what the server says of it; `changed` is called when another candidate is chosen. */
-  constructor(said, arrays, source, eye, { size, colours, colour, changed }) {
-    Object.assign(this, { said, arrays, source, colour, rank: 0, paths: {} });
+  constructor(said, arrays, source, eye, { size, sizeOfViews, colours, colour, changed }) {
+    Object.assign(this, { said, arrays, source, colour, rank: 0 });
     this.article = byId("column").content.firstElementChild.cloneNode(true);
     this.part = (name) => this.article.querySelector(name);
     this.head();
-    this.contours(size, colours);
+    this.footage = new Footage(this.article, size, colours);
+    this.views = said.views.map((name, k) => this.view(name, k, eye, sizeOfViews, colours));
     this.below(changed);
     byId("columns").append(this.article);
     try {
@@ -67,13 +94,17 @@ class Column {
     this.part(".warnings").append(element("details", { class: kind, open: kind === "serious" }, summary, element("ul", {}, ...messages)));
   }
 
-  contours(size, colours) {
-    this.part("svg").setAttribute("viewBox", `0 0 ${size} ${size}`);
-    for (const name of ["observed", "hand", "true", "object"]) {
-      const [halo, line] = ["halo", "line"].map((kind) => element("path", { class: kind, stroke: kind === "line" ? colours[name] : "#fff" }));
-      this.paths[name] = element("g", { class: name }, halo, line);
-      this.part("svg").append(this.paths[name]);
-    }
+  /** The footage of a further view; a click on its name looks from its camera. */
+  view(name, k, eye, size, colours) {
+    const figure = byId("view").content.firstElementChild.cloneNode(true), button = figure.querySelector("button");
+    button.textContent = name;
+    button.title = "look from this camera";
+    button.onclick = () => eye.choose(`view ${k}`);
+    button.style.setProperty("--key", cameraColour(k + 1));
+    figure.querySelector("img").alt = `the image of ${name}`;
+    this.part(".views").append(figure);
+    this.part(".views").hidden = false;
+    return { footage: new Footage(figure, size, colours), met: figure.querySelector(".met") };
   }
 
   /** The choice among the candidates, and what speaks for and against each. */
@@ -126,13 +157,13 @@ class Column {
     return this.source.frame(this.rank, place);
   }
 
-  show(place, { picture, outlines, arrays }) {
+  show(place, { views, arrays, ...own }) {
     this.unread("");
-    this.part(".picture").hidden = false;
-    this.part(".picture").src = `data:image/jpeg;base64,${picture}`;
-    for (const [name, group] of Object.entries(this.paths)) {
-      for (const path of group.children) path.setAttribute("d", outlines[name] || "");
-    }
+    this.footage.show(own);
+    this.views.forEach(({ footage, met }, k) => {
+      footage.show(views[k]);
+      met.textContent = views[k].met || "";
+    });
     if (this.viewer) this.viewer.show(place, this.rank, arrays);
   }
 
@@ -145,6 +176,6 @@ class Column {
   /** Show or hide a part, in 3D and among the contours. */
   turn(name, on) {
     if (this.viewer) this.viewer.shown[name] = on;
-    if (this.paths[name]) this.paths[name].setAttribute("visibility", on ? "visible" : "hidden");
+    for (const footage of [this.footage, ...this.views.map((view) => view.footage)]) footage.turn(name, on);
   }
 }

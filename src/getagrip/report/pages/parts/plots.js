@@ -12,6 +12,7 @@ class Plot {
     const margin = Math.max(0.06 * (high - low), 1e-3 * Math.max(1, Math.abs(high)));
     if (low !== least) low -= margin;
     if (high !== most) high += margin;
+    if (low === high) high += 1;  // an error of zero throughout
     const last = Math.max(...times, 1e-9);
     this.x = (n) => left + ((W - left - right) * times[n]) / last;
     const y = (value) => H - bottom - ((H - top - bottom) * (value - low)) / (high - low);

@@ -109,19 +109,26 @@ function segmentBar({ frames, segments }, player) {
 function options(columns, eye, { colours, near }) {
   const has = (name) => columns.some(({ arrays }) => arrays[name]), all = (name) => columns.every(({ arrays }) => arrays[name]);
   const needs = { camera: "hand_faces", hand: "hand_faces", object: "object_faces", world: "T_world_cam" };
-  const stands = Object.keys(needs).filter((name) => all(needs[name]));
+  const stands = Object.keys(needs).filter((name) => all(needs[name])).map((name) => [name, `the ${name}`]);
+  stands.push(...columns[0].said.views.map((name, k) => [`view ${k}`, name]));  // all columns show one clip
   const box = (name, words, on, colour) => {
     const turn = (checked) => {
       for (const column of columns) column.turn(name, checked);
+      if (name === "cameras") eye.showCameras(checked);
       eye.ask();
     };
     turn(on);
     return toggle(words, on, turn, colour);
   };
-  const parts = [choice("seen from", stands.map((name) => [name, `the ${name}`]), (value) => eye.standIn(value))];
+  const seenFrom = choice("seen from", stands, (value) => eye.standIn(value)), parts = [seenFrom];
+  eye.choose = (stand) => {
+    seenFrom.querySelector("select").value = stand;
+    eye.standIn(stand);
+  };
   parts.push(box("hand", has("other_hand_faces") ? "hands" : "hand", true, colours.hand));
   if (has("object_faces")) parts.push(box("object", "object", true, colours.object));
   if (has("axis")) parts.push(box("axis", "axis", true, colours.axis));
+  if (has("T_cam_views")) parts.push(box("cameras", "cameras", false));
   if (columns.some(({ said }) => said.masked)) parts.push(box("observed", "observed mask", false, colours.observed));
   if (has("true_T_cam_obj")) parts.push(box("true", "ground truth", false, colours.true));
   if (has("object_faces")) {

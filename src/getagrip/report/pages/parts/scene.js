@@ -7,6 +7,9 @@ const SHOWN = {
   object: [0.44, 0.58, 0.69], hand: [0.87, 0.72, 0.63], contact: [0.784, 0.333, 0.239], truth: [0.3, 0.33, 0.36],
   axis: [0.165, 0.616, 0.561], hidden: [0.66, 0.88, 0.835],
 };
+const CAMERAS = ["#7d858c", "#2a7f9e", "#d19a2a", "#7b5ea7", "#4f8a4f", "#c8553d", "#a0466f", "#5277a8"];  // the clip's own first
+const cameraColour = (k) => CAMERAS[k && 1 + ((k - 1) % (CAMERAS.length - 1))];
+const redGreenBlue = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
 
 const VERTEX = `#version 300 es
 uniform mat4 T_eye_mesh, projection;
@@ -111,6 +114,19 @@ function rod(from, to, radius, sides = 12) {
     for (const end of [from, to]) vertices.push(...end.map((x, k) => x + radius * (c * u[k] + s * v[k])));
     const next = (n + 1) % sides;
     faces.push(2 * n, 2 * n + 1, 2 * next, 2 * n + 1, 2 * next + 1, 2 * next);
+  }
+  return [new Float32Array(vertices), new Uint16Array(faces)];
+}
+
+/** Rods along what a camera sees, from it to the corners of its image at a depth, and around the image. */
+function frustum(corners, depth, radius) {
+  const ends = [0, 1, 2, 3].map((k) => [0, 1, 2].map((x) => depth * corners[3 * k + x]));
+  const edges = ends.flatMap((end, k) => [[[0, 0, 0], end], [end, ends[(k + 1) % 4]]]);
+  const vertices = [], faces = [];
+  for (const [from, to] of edges) {
+    const [points, corners] = rod(from, to, radius, 6), before = vertices.length / 3;
+    vertices.push(...points);
+    faces.push(...corners.map((id) => id + before));
   }
   return [new Float32Array(vertices), new Uint16Array(faces)];
 }

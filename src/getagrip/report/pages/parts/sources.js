@@ -44,11 +44,12 @@ class Embedded {
 
   /** A frame with one of the candidates; how near the surfaces are is known of the result alone. */
   async frame(rank, n) {
-    const { picture, outlines, others } = this.column.pictures[n];
+    const { views, ...own } = this.column.pictures[n];
+    const shown = ({ picture, outlines, others, met }) => (rank === 0 ? { picture, outlines, met } : { picture, outlines: { ...outlines, object: others[rank - 1] } });
     const names = MOVING.filter((name) => this.arrays[name] && (rank === 0 || !name.endsWith("_near")));
     return {
-      picture,
-      outlines: rank === 0 ? outlines : { ...outlines, object: others[rank - 1] },
+      ...shown(own),
+      views: views.map(shown),
       arrays: Object.fromEntries(names.map((name) => [name, block(this.arrays[name], n)])),
     };
   }
@@ -70,8 +71,8 @@ class Fetched {
   }
 
   async read(path) {
-    const { picture, outlines, arrays, packed } = await ask(path);
-    return { picture, outlines, arrays: await unpack(arrays, packed) };
+    const { arrays, packed, ...drawn } = await ask(path);
+    return { ...drawn, arrays: await unpack(arrays, packed) };
   }
 
   gap() {

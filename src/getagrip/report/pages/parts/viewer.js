@@ -5,7 +5,7 @@
 class Eye {
   /** `near` tells how far the distances of surfaces are known; `extent` is the largest of what is looked at [m]. */
   constructor(near, extent) {
-    Object.assign(this, { near, extent, contact: near.at, stand: "camera", viewers: [] });
+    Object.assign(this, { near, extent, reach: 0, contact: near.at, stand: "camera", viewers: [] });
     this.reset();
   }
 
@@ -21,7 +21,18 @@ class Eye {
   }
 
   zoom(factor) {
-    this.distance = Math.max(0.3 * this.extent, Math.min(20 * this.extent, factor * this.distance));
+    this.distance = Math.max(0.3 * this.extent, Math.min(this.farthest(), factor * this.distance));
+  }
+
+  farthest() {
+    return Math.max(20 * this.extent, 6 * this.reach);
+  }
+
+  /** Step back until all cameras are in sight, which are up to `reach` away from what is looked at [m]; or return. */
+  showCameras(on) {
+    if (!this.reach) return;
+    this.reset();
+    if (on) Object.assign(this, { distance: Math.min(this.farthest(), 3 * this.reach), pitch: -0.45, yaw: 0.5 });
   }
 
   ask() {
@@ -59,6 +70,7 @@ class Viewer {
         return axis;
       });
     }
+    if (arrays.T_cam_views) this.cameras = this.frusta(surface);
     eye.viewers.push(this);
     this.settle();
     this.listen();
@@ -82,12 +94,39 @@ class Viewer {
     return this.other !== undefined && this.at("other_hand_known")[0] > 0;
   }
 
+  /** The cameras of all views, the clip's own first, and how far away they are. */
+  frusta(surface) {
+    const { arrays, eye } = this, middle = Math.floor(arrays.focus.shape[0] / 2), look = this.at("focus", middle);
+    const n_cameras = arrays.camera_corners.shape[0];
+    const away = (k) => Math.hypot(...applied(inverse(this.T_cam_view(k, middle)), look));
+    eye.reach = Math.max(eye.reach, ...Array.from({ length: n_cameras }, (_, k) => away(k)));
+    return Array.from({ length: n_cameras }, (_, k) => {
+      const [vertices, faces] = frustum(block(arrays.camera_corners, k), 0.12 * eye.reach, 0.006 * eye.reach);
+      const camera = surface(faces);
+      camera.move(vertices);
+      return camera;
+    });
+  }
+
+  /** The pose of a camera in the frame of the clip's own one, which is camera 0. */
+  T_cam_view(k, n = this.frame) {
+    return k === 0 ? IDENTITY : [...this.at("T_cam_views", n).subarray(16 * (k - 1), 16 * k)];
+  }
+
+  /** The camera from which one looks; undefined in other frames. */
+  standsAt() {
+    const { stand } = this.eye;
+    if (stand === "camera") return 0;
+    return stand.startsWith("view ") ? Number(stand.slice(5)) + 1 : undefined;
+  }
+
   /** The pose of the camera frame in the frame to stand in. */
   T_stand_cam() {
     const T_hand_cam = inverse([...this.at("T_cam_hand")]), { stand } = this.eye;
+    if (this.standsAt() !== undefined) return inverse(this.T_cam_view(this.standsAt()));
     if (stand === "world") return [...this.at("T_world_cam")];
     if (stand === "hand") return T_hand_cam;
-    return stand === "object" ? product(inverse(this.inHand()), T_hand_cam) : IDENTITY;
+    return product(inverse(this.inHand()), T_hand_cam);
   }
 
   /** Where to look and how the eye is turned before anybody turns it: as the image of the middle frame shows it; in the
@@ -97,7 +136,8 @@ class Viewer {
     this.frame = middle;
     const T = this.T_stand_cam();
     this.frame = frame;
-    const [right, down, forward] = [0, 1, 2].map((n) => [T[n], T[4 + n], T[8 + n]]);
+    const axes = this.standsAt() === undefined ? T : IDENTITY;
+    const [right, down, forward] = [0, 1, 2].map((n) => [axes[n], axes[4 + n], axes[8 + n]]);
     const up = this.eye.stand === "world" && this.arrays.world_up;
     const level = up ? upright(down, forward, up) : { right, down, forward, tilt: 0 };
     this.tilt = level.tilt;
@@ -120,13 +160,13 @@ class Viewer {
     this.waiting = true;
     requestAnimationFrame(() => {
       this.waiting = false;
-      if (this.moving.hand_vertices) this.draw();
+      if (this.moving.hand_vertices && this.canvas.isConnected) this.draw();  // not of an entry that was left
     });
   }
 
   T_eye_stand() {
-    const { stand, pitch, yaw, shift, distance } = this.eye;
-    const look = stand === "camera" ? [...this.at("focus")] : this.look;
+    const { pitch, yaw, shift, distance } = this.eye;
+    const look = this.standsAt() === undefined ? this.look : applied(this.T_stand_cam(), this.at("focus"));
     const back = [1, 0, 0, -look[0], 0, 1, 0, -look[1], 0, 0, 1, -look[2], 0, 0, 0, 1];
     const out = product(turn(this.tilt + pitch, yaw), product(this.ahead, back));
     out[3] += shift[0];
@@ -160,6 +200,9 @@ class Viewer {
     if (shown.hand) this.part(this.hand, T_eye_hand, SHOWN.hand, { coloured });
     if (shown.hand && this.otherKnown()) {
       this.part(this.other, product(T_eye_cam, [...this.at("T_cam_other_hand")]), SHOWN.hand, { coloured });
+    }
+    if (shown.cameras) {
+      this.cameras.forEach((camera, k) => this.part(camera, product(T_eye_cam, this.T_cam_view(k)), redGreenBlue(cameraColour(k)), { lit: 0 }));
     }
     if (!this.object) return;
     const T_eye_obj = scaled(product(T_eye_hand, this.inHand()), arrays.scale[this.candidate]);
