@@ -79,6 +79,17 @@ def write_ho3d(folder: Path, mano: Path) -> Path:
     return root
 
 
+def write_ho3d_calibration(root: Path, recording: str, T_shared_cam: dict[str, np.ndarray]) -> Path:
+    """The calibration of a recording by several cameras, by their digits, as version 3 has it."""
+    folder = root / "calibration" / recording / "calibration"
+    folder.mkdir(parents=True)
+    np.savetxt(folder / "cam_orders.txt", [int(digit) for digit in T_shared_cam])
+    for place, T in enumerate(T_shared_cam.values()):
+        np.savetxt(folder / f"trans_{place}.txt", T)
+        (folder / f"cam_{place}_intrinsics.txt").write_text("ppx: 330.0, ppy: 240.25, fx: 612.0, fy: 613.0\n")
+    return folder
+
+
 INDEX = "ZY20210800001/H1/C5/N11/S125/s03/T1"
 NAME = f"H1--{INDEX.replace('/', '-')}--Bottle--right"
 K = np.array([[1000.0, 0.0, 959.5], [0.0, 1010.0, 539.5], [0.0, 0.0, 1.0]])
