@@ -24,13 +24,21 @@ from getagrip.readers.datasets.epic.epic_grasps import EpicGrasps
 from getagrip.readers.datasets.epic.epic_images import Frames
 from getagrip.readers.datasets.epic.epic_tables import read_actions
 from getagrip.readers.datasets.ho3d import Ho3d
+from getagrip.readers.datasets.hocap import HoCap
 from getagrip.readers.datasets.hoi4d import Hoi4d
 from getagrip.readers.datasets.hot3d.hot3d_clips import Hot3d
 from getagrip.readers.datasets.track_files import Tracks
 from getagrip.readers.video import video_frames, video_info
 from getagrip.studio.store import tasks
 from helpers import dexycb_files, epic_files, motion_capture_files
-from helpers.hand_object_files import write_ho3d, write_ho3d_calibration, write_hoi4d, write_hot3d, write_labels
+from helpers.hand_object_files import (
+    write_ho3d,
+    write_ho3d_calibration,
+    write_hocap,
+    write_hoi4d,
+    write_hot3d,
+    write_labels,
+)
 from helpers.motion_capture_files import write_arctic
 
 
@@ -179,6 +187,7 @@ READERS: dict[str, Reader] = {
     "dexycb packed": tracks(lambda folder: DexYcb(root=folder / "packed", meshes=folder / "ycb"), packed_dexycb),
     "ho3d": tracks(lambda folder: Ho3d(root=folder / "HO3D", mano=mano_folder()), in_mano(write_ho3d)),
     "ho3d views": tracks(lambda folder: Ho3d(root=folder / "HO3D", views=2), in_mano(ho3d_views)),
+    "hocap": tracks(lambda folder: HoCap(root=folder / "HOCap", mano=mano_folder(), views="all"), in_mano(write_hocap)),
     "hoi4d": tracks(lambda folder: Hoi4d(root=folder / "HOI4D", mano=mano_folder()), in_mano(hoi4d)),
     "hot3d": tracks(lambda folder: Hot3d(root=folder), write_hot3d),
     "epic": Reader(epic, read_epic),

@@ -1,4 +1,6 @@
-"""HOI4D's folder with one sequence, of known poses.
+"""HO-Cap's folder with one sequence, of known poses.
+
+HOI4D's folder with one sequence, of known poses.
 
 HO-3D's folder with two sequences, of known poses.
 
@@ -88,6 +90,90 @@ def write_ho3d_calibration(root: Path, recording: str, T_shared_cam: dict[str, n
         np.savetxt(folder / f"trans_{place}.txt", T)
         (folder / f"cam_{place}_intrinsics.txt").write_text("ppx: 330.0, ppy: 240.25, fx: 612.0, fy: 613.0\n")
     return folder
+
+
+HOCAP_SERIALS = ("105322251564", "043422252387")
+HOCAP_OBJECTS = ("G01_1", "G01_2", "G01_3")
+"""The ball, a box on the table, and one without a mesh."""
+HOCAP_WORLD = se3.rigid(se3.exp_so3(np.array([-2.0, 0.1, 0.2])), np.array([0.1, -0.5, 0.6]))
+"""Pose of the first camera in the world."""
+HOCAP_BESIDE = se3.rigid(se3.exp_so3(np.array([0.1, -1.2, 0.05])), np.array([0.65, 0.1, 0.4]))
+"""Pose of the second camera in the first one's frame; the HoloLens is between them, and moves."""
+HOLOLENS, HOLOLENS_LOST = "hololens_kv5h72", 8
+LEFT_FROM = 20
+"""The left hand is known from this frame on."""
+HOCAP_META = f"""num_frames: {FRAMES}
+object_ids: [{", ".join(HOCAP_OBJECTS)}]
+mano_sides: [right, left]
+task_id: 1
+subject_id: subject_1
+extrinsics: extrinsics_20231014.yaml
+realsense:
+  serials: ['{HOCAP_SERIALS[0]}', '{HOCAP_SERIALS[1]}']
+  width: 640
+  height: 480
+hololens:
+  serial: {HOLOLENS}
+  pv_width: 320
+  pv_height: 240
+"""
+
+
+def hololens_poses() -> np.ndarray:
+    """Poses of the HoloLens in the world."""
+    t = np.linspace(0.0, 1.0, FRAMES)
+    turn = se3.exp_so3(np.stack([0.05 * t, -0.5 + 0.1 * t, 0.0 * t], axis=-1))
+    return np.asarray(HOCAP_WORLD @ se3.rigid(turn, np.stack([0.3 - 0.05 * t, 0.0 * t, 0.05 + 0.0 * t], axis=-1)))
+
+
+def left_hand_poses() -> np.ndarray:
+    """Poses of the left hand in the first camera's frame."""
+    return np.asarray(se3.rigid(None, np.array([-0.14, 0.0, 0.0])) @ motion()[0])
+
+
+def as_quaternions(T: np.ndarray) -> np.ndarray:
+    """Poses (..., 4, 4) as (x, y, z, w) and translations."""
+    return np.concatenate([np.roll(se3.quaternion(T[..., :3, :3]), -1, axis=-1), T[..., :3, 3]], axis=-1)
+
+
+def write_hocap(folder: Path, mano: Path) -> Path:
+    """HO-Cap's folder, with one sequence of two hands; in the frame ``LOST`` the ball is unknown."""
+    root = folder / "HOCap"
+    sequence = root / "subject_1" / "20231025_165502"
+    for name in ("intrinsics", "extrinsics", "mano"):
+        (root / "calibration" / name).mkdir(parents=True)
+    sequence.mkdir(parents=True)
+    (sequence / "meta.yaml").write_text(HOCAP_META)
+    for serial, f, width in ((HOCAP_SERIALS[0], 616.0, 640), (HOCAP_SERIALS[1], 600.0, 640), (HOLOLENS, 250.0, 320)):
+        camera = f"  width: {width}\n  fx: {f}\n  fy: {f}\n  ppx: {width / 2 - 0.5}\n  ppy: {0.375 * width - 0.5}\n"
+        path = root / "calibration" / "intrinsics" / f"{serial}.yaml"
+        path.write_text(f"serial: '{serial}'\ncolor:\n{camera}")
+    T_master = se3.rigid(se3.exp_so3(np.array([0.4, -0.2, 1.0])), np.array([1.0, 0.0, 2.0]))  # world to master
+    poses = {"tag_0": np.eye(4), "tag_1": T_master, HOCAP_SERIALS[0]: T_master @ HOCAP_WORLD}
+    poses[HOCAP_SERIALS[1]] = T_master @ HOCAP_WORLD @ HOCAP_BESIDE
+    rows = "".join(f"  '{key}': {T[:3].ravel().tolist()}\n" for key, T in poses.items())
+    text = f"rs_master: '{HOCAP_SERIALS[1]}'\nextrinsics:\n{rows}"
+    (root / "calibration" / "extrinsics" / "extrinsics_20231014.yaml").write_text(text)
+    (root / "calibration" / "mano" / "subject_1.yaml").write_text(f"betas: {BETAS.tolist()}\n")
+    T_cam_hand, T_cam_obj = motion()
+    hands = []
+    for side, T in (("right", T_cam_hand), ("left", left_hand_poses())):
+        hand, at_rest = posed(mano, side)
+        rot, trans = global_motion(HOCAP_WORLD @ T, at_rest.joints[0])
+        coefficients = np.tile(bent(side) - hand.mean, (FRAMES, 1))  # its components are the axes
+        hands.append(np.concatenate([rot, coefficients, trans], axis=1))
+    hands[1][:LEFT_FROM] = -1.0
+    box = np.tile(se3.rigid(None, np.array([0.2, 0.1, 0.9])), (FRAMES, 1, 1))
+    objects = as_quaternions(HOCAP_WORLD @ np.stack([T_cam_obj, box, box]))
+    objects[0, LOST] = -1.0
+    worn = as_quaternions(hololens_poses())
+    worn[HOLOLENS_LOST] = -1.0
+    for name, values in (("poses_m", np.stack(hands)), ("poses_o", objects), ("poses_pv", worn)):
+        np.save(sequence / f"{name}.npy", values.astype(np.float32))
+    for name, mesh in zip(HOCAP_OBJECTS, (ball(0.03), trimesh.creation.box([0.1, 0.1, 0.1])), strict=False):
+        (root / "models" / name).mkdir(parents=True)
+        mesh.export(root / "models" / name / "cleaned_mesh_10000.obj")
+    return root
 
 
 INDEX = "ZY20210800001/H1/C5/N11/S125/s03/T1"

@@ -28,8 +28,8 @@ from getagrip.hands import mano
 from getagrip.io import arrays, files, processes
 from getagrip.io.arrays import convert_to_input_errors
 from getagrip.readers import footage, streams
-from getagrip.readers.datasets.dexycb.dexycb_files import read_yaml
 from getagrip.readers.datasets.epic import epic_images
+from getagrip.readers.datasets.realsense import read_yaml
 from getagrip.readers.masks import mask_regions
 from getagrip.readers.masks.mask_request import MaskRequest
 from getagrip.readers.masks.mask_sources import open_masks

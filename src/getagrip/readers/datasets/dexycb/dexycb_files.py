@@ -16,7 +16,7 @@ offset[i + 1]. Poses and joints are in the camera frame.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -30,76 +30,17 @@ from getagrip.geometry import se3
 from getagrip.hands.fit_joints import JOINT_ORDERS
 from getagrip.hands.model import Side
 from getagrip.io import arrays
-from getagrip.io.files import is_portable_name, list_files, printable, read_bytes, shorten_value
+from getagrip.io.files import is_portable_name, list_files, printable, shorten_value
+from getagrip.readers.datasets.realsense import (
+    parse_integer,
+    read_colour_intrinsics,
+    read_extrinsics,
+    read_yaml,
+)
 from getagrip.readers.datasets.tracks import MAX_SEQUENCE_FRAMES
 
-MAX_YAML_BYTES = 2**16
-"""Maximum size of a YAML file; DexYCB's have a few hundred bytes."""
-MAX_YAML_NUMBER = 1e9
-"""Maximum absolute number in a calibration."""
-COLOUR_CAMERA_KEYS = ("fx", "fy", "ppx", "ppy")
 TABLE_TAG = "apriltag"
 """Name of the tag on the table, z up, in the extrinsics."""
-
-
-def _as_float(value: object) -> float:
-    """Convert a number of a YAML file; NaN for anything else."""
-    return float(value) if isinstance(value, float | int) and abs(value) < MAX_YAML_NUMBER else np.nan
-
-
-def read_dexycb_intrinsics(path: Path) -> Float[ndarray, "3 3"]:
-    """Read the intrinsics of the colour camera [px]. Raises ``InputError``."""
-    colour = read_yaml(path).get("color")
-    fx, fy, ppx, ppy = (_as_float(colour.get(k) if isinstance(colour, dict) else None) for k in COLOUR_CAMERA_KEYS)
-    if not (np.isfinite([fx, fy, ppx, ppy]).all() and fx > 0.0 and fy > 0.0):
-        raise InputError(path, "color", shorten_value(colour), "fx, fy, ppx, ppy in pixels, fx and fy above 0")
-    # DexYCB counts from the centre of the first pixel, this package from its corner.
-    return np.array([[fx, 0.0, ppx + 0.5], [0.0, fy, ppy + 0.5], [0.0, 0.0, 1.0]])
-
-
-def read_extrinsics(path: Path, keys: Sequence[str]) -> Float[ndarray, "n 4 4"]:
-    """Read poses of cameras or tags, all in the frame of one of the cameras, by name. Raises ``InputError``."""
-    value = read_yaml(path).get("extrinsics")
-    T_master = []
-    for key in keys:
-        values = value.get(key) if isinstance(value, dict) else None
-        numbers = [_as_float(number) for number in values] if isinstance(values, list | tuple) else []
-        if len(numbers) != 12 or not np.isfinite(numbers).all():
-            raise InputError(path, f"extrinsics.{key}", shorten_value(values), "12 numbers, [R | t] row by row")
-        T_master.append(np.vstack([np.reshape(numbers, (3, 4)), [0.0, 0.0, 0.0, 1.0]]))
-        if not se3.is_rigid(T_master[-1]):
-            raise InputError(path, f"extrinsics.{key}", "a matrix that is not a rigid motion", "[R | t] in metres")
-    return np.stack(T_master)
-
-
-def read_table_camera(path: Path, serial: str) -> Float[ndarray, "4 4"]:
-    """Read the pose of a camera in the frame of the tag on the table. Raises ``InputError``."""
-    T_master_tag, T_master_cam = read_extrinsics(path, [TABLE_TAG, serial])
-    return np.asarray(se3.inverse(T_master_tag) @ T_master_cam)
-
-
-def read_yaml(path: Path) -> dict[str, object]:
-    """Read a YAML mapping; of Python's own types, only tuples are allowed, for DexYCB. Raises ``InputError``."""
-    import yaml
-
-    class Loader(yaml.SafeLoader):  # type: ignore[misc]
-        """YAML's own types and tuples, without aliases, by which a small file can unfold to a huge one."""
-
-        def compose_node(self, parent: object, index: object) -> object:
-            if self.check_event(yaml.AliasEvent):
-                raise yaml.YAMLError("an alias")
-            return super().compose_node(parent, index)
-
-    Loader.add_constructor("tag:yaml.org,2002:python/tuple", Loader.construct_sequence)
-    try:
-        content = yaml.load(read_bytes(path, MAX_YAML_BYTES), Loader)
-    except Exception as error:  # parsers of dates, numbers and truth values raise many kinds of errors
-        raise InputError(path, "", f"invalid plain YAML ({error})", "a YAML mapping") from error
-    if not isinstance(content, dict):
-        raise InputError(path, "", f"a YAML {type(content).__name__}", "a YAML mapping")
-    return content
-
-
 DEXYCB_IMAGE_SIZE_PX = (640, 480)
 """Width and height of DexYCB's images [px]."""
 _YCB_NAMES = """
@@ -236,11 +177,11 @@ def _read_sequence_folder(root: Path, folder: Path) -> DexYcbRecording:
     if not (_is_clip_name_part(folder.parent.name) and _is_clip_name_part(folder.name)):
         raise InputError(path, "", "a folder name that clip names cannot contain", "<subject>/<sequence>")
     meta = read_yaml(path)
-    frames = _parse_integer(path, meta, "num_frames", 1, MAX_SEQUENCE_FRAMES)
+    frames = parse_integer(path, meta, "num_frames", 1, MAX_SEQUENCE_FRAMES)
     ids = _parse_list(path, meta, "ycb_ids")
     if not all(isinstance(i, int) and i in YCB_NAME_BY_ID for i in ids) or len(set(ids)) < len(ids):
         raise InputError(path, "ycb_ids", shorten_value(ids), "different numbers of DexYCB's objects, 1 to 21")
-    grasped = ids[_parse_integer(path, meta, "ycb_grasp_ind", 0, len(ids) - 1)]
+    grasped = ids[parse_integer(path, meta, "ycb_grasp_ind", 0, len(ids) - 1)]
     sides: dict[object, Side] = {"left": "left", "right": "right"}
     side = _parse_list(path, meta, "mano_sides")[0]
     if side not in sides:
@@ -265,7 +206,7 @@ def _read_sequence_folder(root: Path, folder: Path) -> DexYcbRecording:
         objects={YCB_NAME_BY_ID[id_]: ObjectPoses(T_cam_obj[:, k], known[:, k]) for k, id_ in enumerate(ids)},
         joints=joints,
         hand_known=~np.all(joints == -1.0, axis=(1, 2)),  # unknown hands are -1
-        K=read_dexycb_intrinsics(_intrinsics_file(root, serial)),
+        K=read_colour_intrinsics(_intrinsics_file(root, serial)),
         T_table_cam=_find_table_camera(root, path, meta, serial),
     )
 
@@ -286,7 +227,7 @@ def _further_cameras(root: Path, folder: Path, own: str) -> list[StaticCamera]:
     others = [serial for serial in _serials_with_folder(folder, meta) if serial != own]
     T_master_own, *T_master = read_extrinsics(_extrinsics_file(root, path, meta), [own, *others])
     return [
-        StaticCamera(serial, read_dexycb_intrinsics(_intrinsics_file(root, serial)), se3.inverse(T_master_own) @ T)
+        StaticCamera(serial, read_colour_intrinsics(_intrinsics_file(root, serial)), se3.inverse(T_master_own) @ T)
         for serial, T in zip(others, T_master, strict=True)
     ]
 
@@ -318,6 +259,12 @@ def _read_label(path: Path, objects: int) -> tuple[Float[ndarray, "O 3 4"], Floa
     return arrays.floats(path, stored, "pose_y", (objects, 3, 4)), joints[0]
 
 
+def read_table_camera(path: Path, serial: str) -> Float[ndarray, "4 4"]:
+    """Read the pose of a camera in the frame of the tag on the table. Raises ``InputError``."""
+    T_master_tag, T_master_cam = read_extrinsics(path, [TABLE_TAG, serial])
+    return np.asarray(se3.inverse(T_master_tag) @ T_master_cam)
+
+
 def _find_table_camera(root: Path, path: Path, meta: dict[str, object], serial: str) -> Float[ndarray, "4 4"] | None:
     """Read the camera's pose in the frame of the tag on the table; None without a calibration."""
     file = _extrinsics_file(root, path, meta)
@@ -336,13 +283,6 @@ def _parse_list(path: Path, entry: dict[str, object], key: str) -> list[int]:
     value = entry.get(key)
     if not isinstance(value, list) or not value:
         raise InputError(path, key, shorten_value(value), "a list that is not empty")
-    return value
-
-
-def _parse_integer(path: Path, entry: dict[str, object], key: str, least: int, most: int) -> int:
-    value = entry.get(key)
-    if not isinstance(value, int) or not least <= value <= most:
-        raise InputError(path, key, shorten_value(value), f"a whole number from {least} to {most}")
     return value
 
 
