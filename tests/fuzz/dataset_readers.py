@@ -27,6 +27,7 @@ from getagrip.readers.datasets.ho3d import Ho3d
 from getagrip.readers.datasets.hocap import HoCap
 from getagrip.readers.datasets.hoi4d import Hoi4d
 from getagrip.readers.datasets.hot3d.hot3d_clips import Hot3d
+from getagrip.readers.datasets.hrdexdb import HrDexDb
 from getagrip.readers.datasets.track_files import Tracks
 from getagrip.readers.video import video_frames, video_info
 from getagrip.studio.store import tasks
@@ -37,6 +38,7 @@ from helpers.hand_object_files import (
     write_hocap,
     write_hoi4d,
     write_hot3d,
+    write_hrdexdb,
     write_labels,
 )
 from helpers.motion_capture_files import write_arctic
@@ -188,6 +190,7 @@ READERS: dict[str, Reader] = {
     "ho3d": tracks(lambda folder: Ho3d(root=folder / "HO3D", mano=mano_folder()), in_mano(write_ho3d)),
     "ho3d views": tracks(lambda folder: Ho3d(root=folder / "HO3D", views=2), in_mano(ho3d_views)),
     "hocap": tracks(lambda folder: HoCap(root=folder / "HOCap", mano=mano_folder(), views="all"), in_mano(write_hocap)),
+    "hrdexdb": tracks(lambda folder: HrDexDb(root=folder, mano=mano_folder(), views="all"), in_mano(write_hrdexdb)),
     "hoi4d": tracks(lambda folder: Hoi4d(root=folder / "HOI4D", mano=mano_folder()), in_mano(hoi4d)),
     "hot3d": tracks(lambda folder: Hot3d(root=folder), write_hot3d),
     "epic": Reader(epic, read_epic),

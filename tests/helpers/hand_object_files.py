@@ -1,5 +1,7 @@
 """HO-Cap's folder with one sequence, of known poses.
 
+HRDexDB's folder with one scene of its human part, of known poses.
+
 HOI4D's folder with one sequence, of known poses.
 
 HO-3D's folder with two sequences, of known poses.
@@ -173,6 +175,52 @@ def write_hocap(folder: Path, mano: Path) -> Path:
     for name, mesh in zip(HOCAP_OBJECTS, (ball(0.03), trimesh.creation.box([0.1, 0.1, 0.1])), strict=False):
         (root / "models" / name).mkdir(parents=True)
         mesh.export(root / "models" / name / "cleaned_mesh_10000.obj")
+    return root
+
+
+HRDEXDB_CAMERAS = {
+    "22641005": HOCAP_WORLD,
+    "22641023": HOCAP_WORLD @ HOCAP_BESIDE,
+    "22640000": HOCAP_WORLD @ se3.rigid(np.diag([-1.0, 1.0, -1.0]), np.array([0.0, 0.0, 0.3])),
+}
+"""Poses of the fixed cameras in the world; the last one is nearest, and looks away from the object."""
+HRDEXDB_WORN, HRDEXDB_OBJECT = "25452062", "apple"
+
+
+def write_hrdexdb(folder: Path, mano: Path, viewers: bool = False) -> Path:
+    """HRDexDB's folder, with one human scene; with poses as texts, as its viewer describes it (``viewers``)."""
+    root = folder / "v0"
+    scene = root / "human" / HRDEXDB_OBJECT / "0"
+    for place in (scene / "hand" / "mano", scene / "cam_param", scene / "object_6d"):
+        place.mkdir(parents=True)
+    T_cam_hand, T_cam_obj = motion()
+    hand, bent_hand = posed(mano, "right")
+    T_world_hand, T_world_obj = HOCAP_WORLD @ T_cam_hand, HOCAP_WORLD @ T_cam_obj
+    corners = "".join("f {} {} {}\n".format(*face) for face in hand.model.faces + 1)
+    for n in range(FRAMES):
+        points = se3.transform(T_world_hand[n], bent_hand.vertices)
+        vertices = "".join("v {:.9f} {:.9f} {:.9f}\n".format(*point) for point in points)
+        (scene / "hand" / "mano" / f"{n:05d}.obj").write_text(vertices + corners)
+    mesh = root / "assets" / ("mesh" if viewers else "mesh_v2") / HRDEXDB_OBJECT
+    mesh.mkdir(parents=True)
+    ball(0.03).export(mesh / f"{HRDEXDB_OBJECT}.obj")
+    if viewers:
+        for n, T in enumerate(T_world_obj):
+            np.savetxt(scene / "object_6d" / f"pose_{n:06d}.txt", T)
+    else:
+        packed = root / "object_6d_pose_v2" / "human"
+        packed.mkdir(parents=True)
+        known = {f"frame_{n}": T for n, T in enumerate(T_world_obj) if n != LOST}
+        np.savez(packed / f"{HRDEXDB_OBJECT}_0.npz", **known)
+    np.save(scene / "C2R.npy", se3.rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.5, 0.0, 0.0])))  # up is the world's -z
+    lens = {"intrinsics_undistort": [[610.0, 0.0, 319.5], [0.0, 611.0, 239.5], [0.0, 0.0, 1.0]]}
+    lens |= {"width": 640, "height": 480, "dist_params": [0.0] * 5}
+    fixed = {name: se3.inverse(T)[:3].tolist() for name, T in HRDEXDB_CAMERAS.items()}
+    (scene / "cam_param" / "intrinsics.json").write_text(json.dumps(dict.fromkeys(fixed, lens)))
+    (scene / "cam_param" / "extrinsics.json").write_text(json.dumps(fixed))
+    path = {str(n): se3.inverse(T)[:3].tolist() for n, T in enumerate(hololens_poses()) if n != HOLOLENS_LOST}
+    worn = {"intrinsics": {HRDEXDB_WORN: lens}, "extrinsics": {HRDEXDB_WORN: path}}
+    (scene / "cam_param" / "ego_calib.json").write_text(json.dumps(worn))
     return root
 
 

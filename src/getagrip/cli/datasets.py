@@ -28,6 +28,7 @@ from getagrip.readers.datasets.ho3d import Ho3d
 from getagrip.readers.datasets.hocap import HoCap
 from getagrip.readers.datasets.hoi4d import Hoi4d
 from getagrip.readers.datasets.hot3d.hot3d_clips import Hot3d
+from getagrip.readers.datasets.hrdexdb import HrDexDb
 from getagrip.readers.datasets.track_files import Tracks
 
 
@@ -60,7 +61,7 @@ class ImportEpic(EpicGrasps):
 
 _BUILTIN_DATASETS: dict[str, type[Dataset]] = {
     "hot3d": Hot3d, "dexycb": DexYcb, "arctic": Arctic, "hoi4d": Hoi4d, "ho3d": Ho3d, "hocap": HoCap,
-    "tracks": Tracks, "epic": ImportEpic,
+    "hrdexdb": HrDexDb, "tracks": Tracks, "epic": ImportEpic,
 }  # fmt: skip
 NON_DATASET_IMPORTS = ("hands", "masks", "depth", "cameras", "segments")
 """Imports into existing clips."""

@@ -102,12 +102,10 @@ def with_further_views(
     """
     if views == 1:
         return track
-    found = list(read())
-    if views == "all":
-        return replace(track, views=tuple(found))
-    if len(found) < views - 1:
+    found, wanted = list(read()), (MAX_VIEWS if views == "all" else views) - 1
+    if views != "all" and len(found) < wanted:
         note(f"{track.name}: {format_count(1 + len(found), 'view')}, no more are calibrated")
-    return replace(track, views=tuple(_most_different(track, found, views - 1)))
+    return replace(track, views=tuple(_most_different(track, found, wanted)))
 
 
 def _most_different(track: Track, found: list[TrackView], count: int) -> list[TrackView]:
@@ -118,7 +116,10 @@ def _most_different(track: Track, found: list[TrackView], count: int) -> list[Tr
     """
     places = se3.transform(track.T_cam_obj, track.mesh.centre[None])[:, 0]
     sights = [_unit(places), *(_unit(places - view.T_cam_view[:, :3, 3]) for view in found)]
-    shares = [_share_in_image(view, places) for view in found]
+    shares = [
+        share_in_image(view.K, view.size, se3.transform(se3.inverse(view.T_cam_view), places[:, None])[:, 0])
+        for view in found
+    ]
     least = np.ones(len(found))
     chosen = list[int]()
     for _ in range(min(count, len(found))):
@@ -130,11 +131,11 @@ def _most_different(track: Track, found: list[TrackView], count: int) -> list[Tr
     return [found[k] for k in chosen]
 
 
-def _share_in_image(view: TrackView, places: Float[ndarray, "T 3"]) -> float:
-    seen = se3.transform(se3.inverse(view.T_cam_view), places[:, None])[:, 0]
-    in_front = seen[:, 2] > 0.0
-    pixels = (seen[in_front] @ view.K.T)[:, :2] / seen[in_front, 2:]
-    return float(np.sum(np.all((pixels > 0.0) & (pixels < view.size), axis=1)) / len(places))
+def share_in_image(K: Float[ndarray, "3 3"], size: tuple[int, int], points: Float[ndarray, "T 3"]) -> float:
+    """Compute the share of points in the camera frame that are in the image."""
+    ahead = points[points[:, 2] > 0.0]
+    pixels = (ahead @ K.T)[:, :2] / ahead[:, 2:]
+    return float(np.sum(np.all((pixels > 0.0) & (pixels < size), axis=1)) / len(points))
 
 
 def _unit(v: Float[ndarray, "T 3"]) -> Float[ndarray, "T 3"]:
