@@ -16,7 +16,6 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
-from getagrip.checks.intrinsics import camera_warning
 from getagrip.cli.command import WARNING_EXIT_STATUS, Command, FirstNumber, Labels, for_each_clip, refuse_existing
 from getagrip.clip import Segment, read
 from getagrip.clip.depth import DEPTH_KEY, check_depth_shape
@@ -282,6 +281,8 @@ class ImportCameras(Command):
 
         Raises ``InputError``, and ``UsageError`` for a clip that has a path already.
         """
+        from getagrip.checks.intrinsics import camera_warning  # loads numba
+
         header = read_header(self.clip)
         if "T_world_cam" in header.fields["camera"] and not self.overwrite:
             raise UsageError(f"{header.folder}: has camera.T_world_cam already; --overwrite replaces it")
