@@ -250,7 +250,7 @@ def _read_cameras(folder: Path, numbers: Int[ndarray, "T"]) -> list[HrDexDbCamer
     if not all(isinstance(part, dict) for part in parts):
         raise InputError(worn, "", shorten_value(content), "intrinsics and extrinsics by camera")
     lenses, paths = (part if isinstance(part, dict) else {} for part in parts)
-    for name in sorted(lenses.keys() & paths.keys()):
+    for name in sorted((lenses.keys() & paths.keys()) - {camera.name for camera in cameras}):
         path = paths[name] if isinstance(paths[name], dict) else {}
         keys = {int(key): key for key in path if re.fullmatch(r"[0-9]{1,8}", key)}
         known = np.array([int(number) in keys for number in numbers])
