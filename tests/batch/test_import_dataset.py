@@ -170,7 +170,7 @@ def test_clips_in_memory_are_read_to_the_end_before_an_error_is_raised() -> None
 
 
 def test_a_camera_of_other_images_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("getagrip.batch.import_dataset.camera_warning", lambda K, size: "it fits images of 8 x 6")
+    monkeypatch.setattr("getagrip.checks.intrinsics.camera_warning", lambda K, size: "it fits images of 8 x 6")
     imported = import_part(ImportJob(Shelf("a"), tmp_path))
     assert imported.warned == len(imported.made) == 2
     assert f"{tmp_path / 'a-0'}: warning: camera: it fits images of 8 x 6" in imported.notes

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from fuzz.child import Reader, mano_folder
+from getagrip.geometry import se3
 from getagrip.io import arrays
 from getagrip.readers.datasets.arctic import Arctic
 from getagrip.readers.datasets.cutting import TrackedDataset
@@ -23,13 +24,23 @@ from getagrip.readers.datasets.epic.epic_grasps import EpicGrasps
 from getagrip.readers.datasets.epic.epic_images import Frames
 from getagrip.readers.datasets.epic.epic_tables import read_actions
 from getagrip.readers.datasets.ho3d import Ho3d
+from getagrip.readers.datasets.hocap import HoCap
 from getagrip.readers.datasets.hoi4d import Hoi4d
 from getagrip.readers.datasets.hot3d.hot3d_clips import Hot3d
+from getagrip.readers.datasets.hrdexdb import HrDexDb
 from getagrip.readers.datasets.track_files import Tracks
 from getagrip.readers.video import video_frames, video_info
 from getagrip.studio.store import tasks
 from helpers import dexycb_files, epic_files, motion_capture_files
-from helpers.hand_object_files import write_ho3d, write_hoi4d, write_hot3d, write_labels
+from helpers.hand_object_files import (
+    write_ho3d,
+    write_ho3d_calibration,
+    write_hocap,
+    write_hoi4d,
+    write_hot3d,
+    write_hrdexdb,
+    write_labels,
+)
 from helpers.motion_capture_files import write_arctic
 
 
@@ -155,6 +166,17 @@ def in_mano(write: Callable[[Path, Path], Any]) -> Callable[[Path], Any]:
     return lambda folder: write(folder, mano_folder())
 
 
+def dexycb_views(folder: Path) -> None:
+    beside = se3.rigid(se3.exp_so3(np.array([0.1, -1.2, 0.05])), np.array([0.65, 0.1, 0.4]))
+    dexycb_files.write_extrinsics(dexycb_files.write_dexycb(folder), beside, np.eye(4))
+
+
+def ho3d_views(folder: Path, mano_files: Path) -> None:
+    root = write_ho3d(folder, mano_files)
+    write_ho3d_calibration(root, "ABF1", {"2": np.eye(4), "0": se3.rigid(None, np.array([0.1, 0.0, 0.0]))})
+    (root / "train" / "ABF10" / "meta").mkdir(parents=True)
+
+
 def hoi4d(folder: Path, mano_files: Path) -> None:
     write_labels(write_hoi4d(folder, mano_files))
 
@@ -163,8 +185,12 @@ READERS: dict[str, Reader] = {
     "tracks": tracks(lambda folder: Tracks(root=folder / "one.npz"), motion_capture_files.write),
     "arctic": tracks(lambda folder: Arctic(root=folder / "data", mano=mano_folder()), in_mano(write_arctic)),
     "dexycb": tracks(lambda folder: DexYcb(root=folder), dexycb_files.write_dexycb),
+    "dexycb views": tracks(lambda folder: DexYcb(root=folder, views="all"), dexycb_views),
     "dexycb packed": tracks(lambda folder: DexYcb(root=folder / "packed", meshes=folder / "ycb"), packed_dexycb),
     "ho3d": tracks(lambda folder: Ho3d(root=folder / "HO3D", mano=mano_folder()), in_mano(write_ho3d)),
+    "ho3d views": tracks(lambda folder: Ho3d(root=folder / "HO3D", views=2), in_mano(ho3d_views)),
+    "hocap": tracks(lambda folder: HoCap(root=folder / "HOCap", mano=mano_folder(), views="all"), in_mano(write_hocap)),
+    "hrdexdb": tracks(lambda folder: HrDexDb(root=folder, mano=mano_folder(), views="all"), in_mano(write_hrdexdb)),
     "hoi4d": tracks(lambda folder: Hoi4d(root=folder / "HOI4D", mano=mano_folder()), in_mano(hoi4d)),
     "hot3d": tracks(lambda folder: Hot3d(root=folder), write_hot3d),
     "epic": Reader(epic, read_epic),

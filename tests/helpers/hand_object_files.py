@@ -1,4 +1,8 @@
-"""HOI4D's folder with one sequence, of known poses.
+"""HO-Cap's folder with one sequence, of known poses.
+
+HRDexDB's folder with one scene of its human part, of known poses.
+
+HOI4D's folder with one sequence, of known poses.
 
 HO-3D's folder with two sequences, of known poses.
 
@@ -76,6 +80,147 @@ def write_ho3d(folder: Path, mano: Path) -> Path:
             save(meta / f"{n:04d}.pkl", content)
     (root / "models" / HELD).mkdir(parents=True)
     ball(0.03).export(root / "models" / HELD / "textured_simple.obj")
+    return root
+
+
+def write_ho3d_calibration(root: Path, recording: str, T_shared_cam: dict[str, np.ndarray]) -> Path:
+    """The calibration of a recording by several cameras, by their digits, as version 3 has it."""
+    folder = root / "calibration" / recording / "calibration"
+    folder.mkdir(parents=True)
+    np.savetxt(folder / "cam_orders.txt", [int(digit) for digit in T_shared_cam])
+    for place, T in enumerate(T_shared_cam.values()):
+        np.savetxt(folder / f"trans_{place}.txt", T)
+        (folder / f"cam_{place}_intrinsics.txt").write_text("ppx: 330.0, ppy: 240.25, fx: 612.0, fy: 613.0\n")
+    return folder
+
+
+HOCAP_SERIALS = ("105322251564", "043422252387")
+HOCAP_OBJECTS = ("G01_1", "G01_2", "G01_3")
+"""The ball, a box on the table, and one without a mesh."""
+HOCAP_WORLD = se3.rigid(se3.exp_so3(np.array([-2.0, 0.1, 0.2])), np.array([0.1, -0.5, 0.6]))
+"""Pose of the first camera in the world."""
+HOCAP_BESIDE = se3.rigid(se3.exp_so3(np.array([0.1, -1.2, 0.05])), np.array([0.65, 0.1, 0.4]))
+"""Pose of the second camera in the first one's frame; the HoloLens is between them, and moves."""
+HOLOLENS, HOLOLENS_LOST = "hololens_kv5h72", 8
+LEFT_FROM = 20
+"""The left hand is known from this frame on."""
+HOCAP_META = f"""num_frames: {FRAMES}
+object_ids: [{", ".join(HOCAP_OBJECTS)}]
+mano_sides: [right, left]
+task_id: 1
+subject_id: subject_1
+extrinsics: extrinsics_20231014.yaml
+realsense:
+  serials: ['{HOCAP_SERIALS[0]}', '{HOCAP_SERIALS[1]}']
+  width: 640
+  height: 480
+hololens:
+  serial: {HOLOLENS}
+  pv_width: 320
+  pv_height: 240
+"""
+
+
+def hololens_poses() -> np.ndarray:
+    """Poses of the HoloLens in the world."""
+    t = np.linspace(0.0, 1.0, FRAMES)
+    turn = se3.exp_so3(np.stack([0.05 * t, -0.5 + 0.1 * t, 0.0 * t], axis=-1))
+    return np.asarray(HOCAP_WORLD @ se3.rigid(turn, np.stack([0.3 - 0.05 * t, 0.0 * t, 0.05 + 0.0 * t], axis=-1)))
+
+
+def left_hand_poses() -> np.ndarray:
+    """Poses of the left hand in the first camera's frame."""
+    return np.asarray(se3.rigid(None, np.array([-0.14, 0.0, 0.0])) @ motion()[0])
+
+
+def as_quaternions(T: np.ndarray) -> np.ndarray:
+    """Poses (..., 4, 4) as (x, y, z, w) and translations."""
+    return np.concatenate([np.roll(se3.quaternion(T[..., :3, :3]), -1, axis=-1), T[..., :3, 3]], axis=-1)
+
+
+def write_hocap(folder: Path, mano: Path) -> Path:
+    """HO-Cap's folder, with one sequence of two hands; in the frame ``LOST`` the ball is unknown."""
+    root = folder / "HOCap"
+    sequence = root / "subject_1" / "20231025_165502"
+    for name in ("intrinsics", "extrinsics", "mano"):
+        (root / "calibration" / name).mkdir(parents=True)
+    sequence.mkdir(parents=True)
+    (sequence / "meta.yaml").write_text(HOCAP_META)
+    for serial, f, width in ((HOCAP_SERIALS[0], 616.0, 640), (HOCAP_SERIALS[1], 600.0, 640), (HOLOLENS, 250.0, 320)):
+        camera = f"  width: {width}\n  fx: {f}\n  fy: {f}\n  ppx: {width / 2 - 0.5}\n  ppy: {0.375 * width - 0.5}\n"
+        path = root / "calibration" / "intrinsics" / f"{serial}.yaml"
+        path.write_text(f"serial: '{serial}'\ncolor:\n{camera}")
+    T_master = se3.rigid(se3.exp_so3(np.array([0.4, -0.2, 1.0])), np.array([1.0, 0.0, 2.0]))  # world to master
+    poses = {"tag_0": np.eye(4), "tag_1": T_master, HOCAP_SERIALS[0]: T_master @ HOCAP_WORLD}
+    poses[HOCAP_SERIALS[1]] = T_master @ HOCAP_WORLD @ HOCAP_BESIDE
+    rows = "".join(f"  '{key}': {T[:3].ravel().tolist()}\n" for key, T in poses.items())
+    text = f"rs_master: '{HOCAP_SERIALS[1]}'\nextrinsics:\n{rows}"
+    (root / "calibration" / "extrinsics" / "extrinsics_20231014.yaml").write_text(text)
+    (root / "calibration" / "mano" / "subject_1.yaml").write_text(f"betas: {BETAS.tolist()}\n")
+    T_cam_hand, T_cam_obj = motion()
+    hands = []
+    for side, T in (("right", T_cam_hand), ("left", left_hand_poses())):
+        hand, at_rest = posed(mano, side)
+        rot, trans = global_motion(HOCAP_WORLD @ T, at_rest.joints[0])
+        coefficients = np.tile(bent(side) - hand.mean, (FRAMES, 1))  # its components are the axes
+        hands.append(np.concatenate([rot, coefficients, trans], axis=1))
+    hands[1][:LEFT_FROM] = -1.0
+    box = np.tile(se3.rigid(None, np.array([0.2, 0.1, 0.9])), (FRAMES, 1, 1))
+    objects = as_quaternions(HOCAP_WORLD @ np.stack([T_cam_obj, box, box]))
+    objects[0, LOST] = -1.0
+    worn = as_quaternions(hololens_poses())
+    worn[HOLOLENS_LOST] = -1.0
+    for name, values in (("poses_m", np.stack(hands)), ("poses_o", objects), ("poses_pv", worn)):
+        np.save(sequence / f"{name}.npy", values.astype(np.float32))
+    for name, mesh in zip(HOCAP_OBJECTS, (ball(0.03), trimesh.creation.box([0.1, 0.1, 0.1])), strict=False):
+        (root / "models" / name).mkdir(parents=True)
+        mesh.export(root / "models" / name / "cleaned_mesh_10000.obj")
+    return root
+
+
+HRDEXDB_CAMERAS = {
+    "22641005": HOCAP_WORLD,
+    "22641023": HOCAP_WORLD @ HOCAP_BESIDE,
+    "22640000": HOCAP_WORLD @ se3.rigid(np.diag([-1.0, 1.0, -1.0]), np.array([0.0, 0.0, 0.3])),
+}
+"""Poses of the fixed cameras in the world; the last one is nearest, and looks away from the object."""
+HRDEXDB_WORN, HRDEXDB_OBJECT = "25452062", "apple"
+
+
+def write_hrdexdb(folder: Path, mano: Path, viewers: bool = False) -> Path:
+    """HRDexDB's folder, with one human scene; with poses as texts, as its viewer describes it (``viewers``)."""
+    root = folder / "v0"
+    scene = root / "human" / HRDEXDB_OBJECT / "0"
+    for place in (scene / "hand" / "mano", scene / "cam_param", scene / "object_6d"):
+        place.mkdir(parents=True)
+    T_cam_hand, T_cam_obj = motion()
+    hand, bent_hand = posed(mano, "right")
+    T_world_hand, T_world_obj = HOCAP_WORLD @ T_cam_hand, HOCAP_WORLD @ T_cam_obj
+    corners = "".join("f {} {} {}\n".format(*face) for face in hand.model.faces + 1)
+    for n in range(FRAMES):
+        points = se3.transform(T_world_hand[n], bent_hand.vertices)
+        vertices = "".join("v {:.9f} {:.9f} {:.9f}\n".format(*point) for point in points)
+        (scene / "hand" / "mano" / f"{n:05d}.obj").write_text(vertices + corners)
+    mesh = root / "assets" / ("mesh" if viewers else "mesh_v2") / HRDEXDB_OBJECT
+    mesh.mkdir(parents=True)
+    ball(0.03).export(mesh / f"{HRDEXDB_OBJECT}.obj")
+    if viewers:
+        for n, T in enumerate(T_world_obj):
+            np.savetxt(scene / "object_6d" / f"pose_{n:06d}.txt", T)
+    else:
+        packed = root / "object_6d_pose_v2" / "human"
+        packed.mkdir(parents=True)
+        known = {f"frame_{n}": T for n, T in enumerate(T_world_obj) if n != LOST}
+        np.savez(packed / f"{HRDEXDB_OBJECT}_0.npz", **known)
+    np.save(scene / "C2R.npy", se3.rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.5, 0.0, 0.0])))  # up is the world's -z
+    lens = {"intrinsics_undistort": [[610.0, 0.0, 319.5], [0.0, 611.0, 239.5], [0.0, 0.0, 1.0]]}
+    lens |= {"width": 640, "height": 480, "dist_params": [0.0] * 5}
+    fixed = {name: se3.inverse(T)[:3].tolist() for name, T in HRDEXDB_CAMERAS.items()}
+    (scene / "cam_param" / "intrinsics.json").write_text(json.dumps(dict.fromkeys(fixed, lens)))
+    (scene / "cam_param" / "extrinsics.json").write_text(json.dumps(fixed))
+    path = {str(n): se3.inverse(T)[:3].tolist() for n, T in enumerate(hololens_poses()) if n != HOLOLENS_LOST}
+    worn = {"intrinsics": {HRDEXDB_WORN: lens}, "extrinsics": {HRDEXDB_WORN: path}}
+    (scene / "cam_param" / "ego_calib.json").write_text(json.dumps(worn))
     return root
 
 

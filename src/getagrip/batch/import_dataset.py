@@ -13,7 +13,6 @@ from getagrip.batch.engine import Engine
 from getagrip.batch.job import Outcome, failed_outcome, lost_outcome
 from getagrip.batch.ledger import Ledger, LedgerEntry, State, ledger_folder
 from getagrip.batch.scheduling import DEFAULT_SCHEDULING, SchedulingOptions
-from getagrip.checks.intrinsics import camera_warning
 from getagrip.clip import Clip, write_clip
 from getagrip.clip.read import read_header
 from getagrip.errors import InputError, UsageError
@@ -121,6 +120,8 @@ def _import_entry(imported: ImportedPart) -> LedgerEntry:
 
 def import_part(job: ImportJob) -> ImportedPart:
     """Write the clips of one part. Raises nothing."""
+    from getagrip.checks.intrinsics import camera_warning  # loads numba
+
     outcomes, notes, made, warned = list[Outcome](), list[str](), list[Mapping[str, object]](), 0
 
     def missing(name: str, with_hands: bool = False) -> bool:

@@ -25,8 +25,10 @@ from getagrip.readers.datasets.dataset import Dataset, Note, Part
 from getagrip.readers.datasets.dexycb.dexycb_clips import DexYcb
 from getagrip.readers.datasets.epic.epic_grasps import EpicGrasps
 from getagrip.readers.datasets.ho3d import Ho3d
+from getagrip.readers.datasets.hocap import HoCap
 from getagrip.readers.datasets.hoi4d import Hoi4d
 from getagrip.readers.datasets.hot3d.hot3d_clips import Hot3d
+from getagrip.readers.datasets.hrdexdb import HrDexDb
 from getagrip.readers.datasets.track_files import Tracks
 
 
@@ -58,8 +60,8 @@ class ImportEpic(EpicGrasps):
 
 
 _BUILTIN_DATASETS: dict[str, type[Dataset]] = {
-    "hot3d": Hot3d, "dexycb": DexYcb, "arctic": Arctic, "hoi4d": Hoi4d, "ho3d": Ho3d, "tracks": Tracks,
-    "epic": ImportEpic,
+    "hot3d": Hot3d, "dexycb": DexYcb, "arctic": Arctic, "hoi4d": Hoi4d, "ho3d": Ho3d, "hocap": HoCap,
+    "hrdexdb": HrDexDb, "tracks": Tracks, "epic": ImportEpic,
 }  # fmt: skip
 NON_DATASET_IMPORTS = ("hands", "masks", "depth", "cameras", "segments")
 """Imports into existing clips."""

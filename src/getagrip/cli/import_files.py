@@ -16,7 +16,6 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
-from getagrip.checks.intrinsics import camera_warning
 from getagrip.cli.command import WARNING_EXIT_STATUS, Command, FirstNumber, Labels, for_each_clip, refuse_existing
 from getagrip.clip import Segment, read
 from getagrip.clip.depth import DEPTH_KEY, check_depth_shape
@@ -305,6 +304,8 @@ class ImportCameras(Command):
 
         Raises ``InputError``, and ``UsageError`` for a clip that has a path already.
         """
+        from getagrip.checks.intrinsics import camera_warning  # loads numba
+
         if self.camera is not None or self.view is not None or holds_rig_only(self.path):
             from getagrip.cli.import_views import import_rig
 

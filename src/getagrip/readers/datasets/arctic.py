@@ -17,11 +17,11 @@ template's frame; then the whole object is turned and moved. View 0 is the head 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -40,7 +40,7 @@ from getagrip.io import arrays, pickles
 from getagrip.io.files import MAX_JSON_BYTES, Json, is_portable_name, read_bytes, read_json, shorten_value
 from getagrip.io.options import OptionalFolder
 from getagrip.readers.datasets import mano_tracks
-from getagrip.readers.datasets.cutting import TrackedDataset
+from getagrip.readers.datasets.cutting import SeveralCameras
 from getagrip.readers.datasets.dataset import Note
 from getagrip.readers.datasets.mano_tracks import check_mano_numbers
 from getagrip.readers.datasets.tracks import (
@@ -50,6 +50,7 @@ from getagrip.readers.datasets.tracks import (
     check_pinhole,
     intrinsics_from_opencv,
 )
+from getagrip.readers.datasets.views import TrackView, with_further_views
 from getagrip.stable_grasps.definition import GraspOptions
 
 ARCTIC_GRASP_OPTIONS = GraspOptions(tau=0.5, contact_mm=0.0, points="fragments", rule="first", shortest=20)
@@ -89,9 +90,16 @@ class ArcticCamera:
     T_cam_world: Float[ndarray, "T 4 4"]
     size: tuple[int, int]
 
+    @property
+    def description(self) -> str:
+        """Description for the provenance."""
+        if self.number == 0:
+            return "the camera on the head; its images are distorted, these masks are not"
+        return f"fixed camera {self.number}"
+
 
 @dataclass(frozen=True, kw_only=True)
-class Arctic(TrackedDataset):
+class Arctic(SeveralCameras):
     """ARCTIC's raw sequences: every visible stable grasp."""
 
     grasps: Annotated[GraspOptions, arg(name="")] = ARCTIC_GRASP_OPTIONS
@@ -100,7 +108,7 @@ class Arctic(TrackedDataset):
     mano: OptionalFolder = None
     """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl."""
     view: Annotated[int, arg(metavar="N")] = 0
-    """The camera: 0 on the head, 1 to 8 fixed."""
+    """The clip's camera: 0 on the head, 1 to 8 fixed."""
 
     def sources(self) -> list[SequenceSource]:
         """List the sequences below ``root``: ARCTIC's folder of ``raw_seqs`` and ``meta``, or a folder above it."""
@@ -112,17 +120,17 @@ class Arctic(TrackedDataset):
         found = sorted(base.glob("raw_seqs/*/*.object.npy"))
         if not found:
             raise InputError(self.root, "", "no raw_seqs/<subject>/<sequence>.object.npy in it", "ARCTIC's folder")
-        return [
-            SequenceSource(f"{f.parent.name}/{_sequence_name(f)}", partial(_read_sequence, base, f, mano, self.view))
-            for f in found
-        ]
+        read = partial(_read_sequence, base, mano=mano, view=self.view, views=self.views)
+        return [SequenceSource(f"{f.parent.name}/{_sequence_name(f)}", partial(read, f)) for f in found]
 
 
 def _sequence_name(file: Path) -> str:
     return file.name.removesuffix(".object.npy")
 
 
-def _read_sequence(base: Path, file: Path, mano: Path, view: int, note: Note) -> Iterator[Track]:
+def _read_sequence(
+    base: Path, file: Path, note: Note, *, mano: Path, view: int, views: int | Literal["all"]
+) -> Iterator[Track]:
     subject, sequence = file.parent.name, _sequence_name(file)
     name = sequence.partition("_")[0]
     if not (is_portable_name(name) and is_portable_name(subject)):
@@ -134,7 +142,10 @@ def _read_sequence(base: Path, file: Path, mano: Path, view: int, note: Note) ->
     misc = read_json(subjects).get(subject)
     if not isinstance(misc, dict):
         raise InputError(subjects, subject, shorten_value(misc), "the cameras of this subject")
-    camera = _read_camera(subjects, misc, subject, view, file.with_name(f"{sequence}.egocam.dist.npy"), T)
+    read_camera = partial(
+        _read_camera, subjects, misc, subject, egocam=file.with_name(f"{sequence}.egocam.dist.npy"), T=T
+    )
+    camera = read_camera(view)
     offset = misc.get("ioi_offset")
     if type(offset) is not int or not 0 <= offset < 10**6:
         raise InputError(subjects, f"{subject}.ioi_offset", shorten_value(offset), "a number of frames")
@@ -143,7 +154,7 @@ def _read_sequence(base: Path, file: Path, mano: Path, view: int, note: Note) ->
     T_cam_obj = camera.T_cam_world @ T_world_template @ se3.inverse(template.T_neutral_template)
     hands = _read_hands(file.with_name(f"{sequence}.mano.npy"), mano, camera.T_cam_world, T)
     for side in SIDES:
-        yield Track(
+        track = Track(
             file=file,
             subject=subject,
             sequence=sequence,
@@ -166,15 +177,28 @@ def _read_sequence(base: Path, file: Path, mano: Path, view: int, note: Note) ->
                 "source": f"ARCTIC, {subject}/{sequence}, view {view}",
                 "licence": "made from ARCTIC, for non-commercial research only",
                 "hands": "ARCTIC's MANO parameters (true), by the user's MANO files",
-                "camera": "the camera on the head; its images are distorted, these masks are not"
-                if view == 0
-                else f"fixed camera {view}",
+                "camera": camera.description,
                 "image": f"masks are {ARCTIC_IMAGE_SCALE:g} times as large as the images",
                 "scale": "ARCTIC's template, true size",
                 "frame": "z along the principal axis about which the closed object is most nearly round, origin in the "
                 "middle; ARCTIC's own frame has z along the joint",
             },
         )
+        yield with_further_views(track, views, partial(_further_views, camera, read_camera), note)
+
+
+def _further_views(own: ArcticCamera, read: Callable[[int], ArcticCamera]) -> list[TrackView]:
+    others = [read(number) for number in range(N_ARCTIC_VIEWS) if number != own.number]
+    return [
+        TrackView(
+            name=f"view{other.number}",
+            K=other.K,
+            size=other.size,
+            T_cam_view=own.T_cam_world @ se3.inverse(other.T_cam_world),
+            camera=other.description,
+        )
+        for other in others
+    ]
 
 
 def _read_hands(file: Path, mano: Path, T_cam_world: Float[ndarray, "T 4 4"], T: int) -> dict[Side, HandTrack]:

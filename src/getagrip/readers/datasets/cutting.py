@@ -17,9 +17,10 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
-from getagrip.clip import Clip, FrameMasks, Masks, OtherHand, Segment, Truth
+from getagrip.clip import Clip, Masks, OtherHand, Segment, Truth
 from getagrip.clip.read_arrays import MAX_CAMERA_RANGE_M, MIN_CAMERA_RANGE_M, check_in_view
 from getagrip.clip.timeline import at_frames
+from getagrip.clip.views import with_views
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -30,12 +31,11 @@ from getagrip.io.options import Flag
 from getagrip.metrics.contact import stable_contact_area
 from getagrip.readers.datasets.dataset import Dataset, Draft, Missing, Note, Part
 from getagrip.readers.datasets.tracks import SequenceSource, Track, TrackPiece
+from getagrip.readers.datasets.views import MIN_VISIBLE_PIXELS, ViewCount, check_view_count, rendered_views
 from getagrip.stable_grasps.definition import MIN_GRASP_FRAMES, GraspOptions
 from getagrip.stable_grasps.find import FIRST_FRAME_KEY, CutRules, as_listed
 from getagrip.stable_grasps.grasp_lists import CLIP_NAME_SEPARATOR, ListedGrasp
 
-MIN_VISIBLE_PIXELS = 25
-"""Minimum number of pixels of a visible object's mask."""
 ALL_KNOWN_FRAMES = "all frames in which hand and object are known"
 Pieces = Callable[[Iterable[Track], Note], Iterator[TrackPiece]]
 """A function that cuts tracks into pieces, one for each clip."""
@@ -70,6 +70,22 @@ class TrackedDataset(Dataset):
     def cut_record(self) -> dict[str, object] | None:
         """Return the record of how clips are cut; None for whole tracks."""
         return None if self.whole else self.grasps.cut(lambda _: None).record()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeveralCameras(TrackedDataset):
+    """A dataset with true tracks, recorded by several calibrated cameras."""
+
+    views: ViewCount = 1
+    """Number of views of a clip, or all that are calibrated: its own camera's, then those whose lines of sight differ
+    most. Their masks are rendered from the true poses."""
+
+    def cut(self, note: Note) -> CutRules:
+        """Return the cutting rules. Raises as ``TrackedDataset.cut`` does, and ``UsageError`` for views of no masks."""
+        check_view_count(self.views)
+        if self.whole and self.views != 1:
+            raise UsageError("--views cannot be used with --whole, whose clips have no masks")
+        return super().cut(note)
 
 
 @dataclass(frozen=True)
@@ -233,6 +249,8 @@ def clip_of_piece(piece: TrackPiece, shortest: int, note: Note) -> tuple[Clip, M
     except InputError:
         note(f"{piece.name}: the hand is outside the image in every frame: skipped")
         return None
+    if masks is not None and track.views:
+        made = with_views(made, rendered_views(track, provenance, note))
     return made, masks
 
 
@@ -260,7 +278,7 @@ def _visible_frames(track: Track) -> tuple[Int[ndarray, "n"], Masks]:
     rows: list[int] = []
     hand_known = True
     for row in range(len(track)):
-        masks = read_or_render_masks(track, row)
+        masks = track.masks(row)
         if np.count_nonzero(masks.object) >= MIN_VISIBLE_PIXELS:
             for kind, mask in zip(all_masks, masks, strict=True):
                 if mask is not None:
@@ -269,14 +287,3 @@ def _visible_frames(track: Track) -> tuple[Int[ndarray, "n"], Masks]:
             rows.append(row)
     visible, ignore, hand = all_masks[:, : len(rows)]
     return np.array(rows, dtype=np.int64), Masks(visible, ignore, hand if hand_known else None)
-
-
-def read_or_render_masks(track: Track, row: int) -> FrameMasks:
-    """Read the dataset's own masks of a frame, or render the masks of the true poses."""
-    if track.read_masks is not None:
-        return track.read_masks(int(track.numbers[row]))
-    from getagrip.geometry.rasterize import true_masks  # loads numba
-
-    hands = [hand for hand in (track.hand, track.other_hand) if hand is not None]
-    surfaces = [(se3.transform(hand.T_cam_hand[row], hand.vertices[row]), hand.faces) for hand in hands]
-    return FrameMasks(*true_masks(track.surface(row), surfaces, [], track.K, track.size))

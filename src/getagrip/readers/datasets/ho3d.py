@@ -8,6 +8,12 @@ OpenGL's axes (y up, z towards the eye) to this package's:
 
     evaluation.txt, evaluation_xyz.json     <sequence>/<frame> in each line, and their joints (N, 21, 3) [m]
 
+    calibration/<recording>/calibration/    version 3, of recordings by several cameras: <recording>0, 1, ... are their
+                                            sequences
+        cam_orders.txt                      the cameras' digits
+        cam_<i>_intrinsics.txt              fx, fy, ppx, ppy of the i-th of them
+        trans_<i>.txt                       (4, 4): its pose in a frame that all share [m]
+
 Frames without labels hold None. In the evaluation split ``handJoints3D`` is the wrist only; the joints were published
 later as a list, which is read where it lies beside the splits.
 """
@@ -19,7 +25,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -37,7 +43,7 @@ from getagrip.io.files import is_portable_name, read_any_json, read_bytes, short
 from getagrip.io.options import Flag, OptionalFolder
 from getagrip.io.terminal import format_count
 from getagrip.readers.datasets import mano_tracks
-from getagrip.readers.datasets.cutting import ALL_KNOWN_FRAMES, CutSource, TrackedDataset
+from getagrip.readers.datasets.cutting import ALL_KNOWN_FRAMES, CutSource, SeveralCameras
 from getagrip.readers.datasets.dataset import Note, Part
 from getagrip.readers.datasets.mano_tracks import check_mano_numbers
 from getagrip.readers.datasets.tracks import (
@@ -49,6 +55,7 @@ from getagrip.readers.datasets.tracks import (
     check_pinhole,
     intrinsics_from_opencv,
 )
+from getagrip.readers.datasets.views import TrackView, with_further_views
 from getagrip.stable_grasps.definition import GraspOptions
 
 HO3D_IMAGE_SIZE_PX = (640, 480)
@@ -57,6 +64,8 @@ HO3D_FPS = 30.0
 R_CV_OPENGL = np.diag([1.0, -1.0, -1.0])
 """Rotation from OpenGL's camera axes to this package's."""
 EVALUATION_SPLIT = "evaluation"
+MAX_CALIBRATION_BYTES = 2**16
+"""Maximum size of a file of the calibration; HO-3D's have at most a few hundred bytes."""
 MAX_WRIST_DISTANCE_M = 0.005
 """Maximum distance between the wrists of a frame's labels and of the evaluation list [m]."""
 
@@ -77,7 +86,7 @@ class Ho3dFrame(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ho3d(TrackedDataset):
+class Ho3d(SeveralCameras):
     """HO-3D: every visible stable grasp."""
 
     grasps: Annotated[GraspOptions, arg(name="")] = GRASPS_WITHIN_10_MM
@@ -95,7 +104,8 @@ class Ho3d(TrackedDataset):
         found = sorted({file.parent.parent for file in self.root.glob("*/*/meta/*.pkl")})
         if not found:
             raise InputError(self.root, "", "no <split>/<sequence>/meta/<frame>.pkl in it", "HO-3D's folder")
-        return [SequenceSource(f"{f.parent.name}/{f.name}", partial(_read_sequence, f, models, mano)) for f in found]
+        read = partial(_read_sequence, models=models, mano=mano, views=self.views)
+        return [SequenceSource(f"{f.parent.name}/{f.name}", partial(read, f)) for f in found]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +134,9 @@ def _uncut_pieces(tracks: Iterable[Track], note: Note) -> Iterator[TrackPiece]:
         yield TrackPiece(track, track.name, ALL_KNOWN_FRAMES)
 
 
-def _read_sequence(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator[Track]:
+def _read_sequence(
+    folder: Path, note: Note, *, models: Path, mano: Path | None, views: int | Literal["all"]
+) -> Iterator[Track]:
 
     name = f"{folder.parent.name}/{folder.name}"
     frames, unknown, joints = [], 0, {}
@@ -150,7 +162,7 @@ def _read_sequence(folder: Path, models: Path, mano: Path | None, note: Note) ->
         raise InputError(label, "objName or camMat", "another", "one per sequence")
     mesh = mano_tracks.read_ycb_mesh(models, grasped)
     letters = re.match(r"[A-Za-z]+", folder.name)
-    yield Track(
+    track = Track(
         file=folder,
         subject=letters[0] if letters else folder.name,
         sequence=folder.name,
@@ -174,6 +186,64 @@ def _read_sequence(folder: Path, models: Path, mano: Path | None, note: Note) ->
             "scale": "YCB mesh, true size",
         },
     )
+    yield with_further_views(track, views, partial(_further_views, folder, len(frames)), note)
+
+
+def _further_views(folder: Path, frames: int) -> list[TrackView]:
+    """Read the other cameras of a sequence's recording that have a sequence; none without a calibration.
+
+    Raises ``InputError``.
+    """
+    root, recording, own = folder.parent.parent, folder.name[:-1], folder.name[-1:]
+    calibration = root / "calibration" / recording / "calibration"
+    if not recording or not calibration.is_dir():
+        return []
+    file = calibration / "cam_orders.txt"
+    order = [f"{number:.0f}" for number in _read_numbers(file)]
+    if own not in order or len(set(order)) < len(order):
+        raise InputError(file, "", shorten_value(order), f"different digits of cameras, {own} among them")
+    T_shared_own = _read_camera_pose(calibration, order.index(own))
+    return [
+        TrackView(
+            name=f"{recording}{digit}",
+            K=intrinsics_from_opencv(_read_camera_intrinsics(calibration / f"cam_{place}_intrinsics.txt")),
+            size=HO3D_IMAGE_SIZE_PX,
+            T_cam_view=np.tile(se3.inverse(T_shared_own) @ _read_camera_pose(calibration, place), (frames, 1, 1)),
+            camera=f"HO-3D's, of the sequence {recording}{digit}",
+        )
+        for place, digit in enumerate(order)
+        if digit != own and next(root.glob(f"*/{recording}{digit}/meta"), None) is not None
+    ]
+
+
+def _read_camera_pose(calibration: Path, place: int) -> Float[ndarray, "4 4"]:
+    file = calibration / f"trans_{place}.txt"
+    numbers = _read_numbers(file)
+    T = numbers.reshape(4, 4) if numbers.size == 16 else np.zeros((4, 4))
+    if not se3.is_rigid(T):
+        raise InputError(file, "", shorten_value(numbers.tolist()), "a rotation and a translation [m], 4 x 4")
+    return T
+
+
+def _read_camera_intrinsics(file: Path) -> Float[ndarray, "3 3"]:
+    text = read_bytes(file, MAX_CALIBRATION_BYTES).decode("utf-8", "replace")
+    values = dict(re.findall(r"\b(fx|fy|ppx|ppy)\s*:\s*(\d+(?:\.\d*)?(?:e[-+]?\d+)?)", text))
+    if len(values) < 4 or not all(float(value) < 1e6 for value in values.values()):
+        raise InputError(file, "", shorten_value(text), "fx, fy, ppx and ppy, as fx: 614.6")
+    fx, fy, cx, cy = (float(values[key]) for key in ("fx", "fy", "ppx", "ppy"))
+    return check_pinhole(file, "", np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]))
+
+
+def _read_numbers(file: Path) -> Float[ndarray, "n"]:
+    """Read the numbers of a text file. Raises ``InputError``."""
+    text = read_bytes(file, MAX_CALIBRATION_BYTES).decode("utf-8", "replace")
+    try:
+        numbers = np.array([float(word) for word in text.split()])
+    except ValueError as error:
+        raise InputError(file, "", shorten_value(text), "numbers") from error
+    if not numbers.size or not np.abs(numbers).max() < 1e6:
+        raise InputError(file, "", shorten_value(text), "numbers")
+    return numbers
 
 
 @cache

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.clip import FrameMasks, HandTrack, Joint, Segment, World
@@ -23,6 +23,7 @@ from getagrip.io.files import Json, shorten_value
 from getagrip.io.terminal import format_count
 from getagrip.provenance import Provenance
 from getagrip.readers.datasets.dataset import Note
+from getagrip.readers.datasets.views import Scene, TrackView
 from getagrip.stable_grasps.definition import GraspOptions
 from getagrip.stable_grasps.grasp_lists import CLIP_NAME_SEPARATOR, ListedGrasp
 
@@ -84,6 +85,12 @@ class Track:
     """The hand as an estimator has it: the clips' input hand, with ``hand`` as their ground truth."""
     read_masks: Callable[[int], FrameMasks] | None = None
     """Read the dataset's own masks of a frame, by its number; None if masks are rendered from the true poses."""
+    beside: Callable[[int], tuple[list[Surface], list[Surface]]] | None = None
+    """Pose further hands, and other objects, in the camera frame in a frame, by its number; None without any."""
+    covered: Bool[ndarray, "H W"] | None = None
+    """Pixels inside the image of the camera's lens; None: all."""
+    views: tuple[TrackView, ...] = ()
+    """Further cameras."""
     world: World | None = None
     """Camera poses, if the dataset has them."""
     stamps: Float[ndarray, "T"] | None = None
@@ -119,6 +126,7 @@ class Track:
             world=self.world and self.world.take(index),
             stamps=None if self.stamps is None else self.stamps[index],
             input_hand=self.input_hand and self.input_hand.take(index),
+            views=tuple(view.take(index) for view in self.views),
         )
 
     def object(self, angle: float) -> Mesh:
@@ -132,10 +140,23 @@ class Track:
         mesh = self.object(0.0 if self.articulation is None else float(self.articulation[row]))
         return se3.transform(self.T_cam_obj[row], mesh.vertices), mesh.faces
 
+    def scene(self, row: int) -> Scene:
+        """Return the surfaces of one frame in the camera frame."""
+        known = [hand for hand in (self.hand, self.other_hand) if hand is not None]
+        hands = [(se3.transform(hand.T_cam_hand[row], hand.vertices[row]), hand.faces) for hand in known]
+        further, others = ([], []) if self.beside is None else self.beside(int(self.numbers[row]))
+        return Scene(self.surface(row), [*hands, *further], others)
+
+    def masks(self, row: int) -> FrameMasks:
+        """Read the dataset's own masks of a frame, or render those of the true poses."""
+        if self.read_masks is not None:
+            return self.read_masks(int(self.numbers[row]))
+        return self.scene(row).masks(self.K, self.size, self.covered)
+
     def describe(self, piece: TrackPiece) -> Json:
         """Return the provenance of a piece's clip; this track has the kept frames of the piece."""
         out = {"subject": self.subject, **self.provenance, "clip": piece.made_of}
-        if piece.masks and self.read_masks is None:
+        if piece.masks and self.read_masks is None and self.beside is None:
             hands = "hand" if self.other_hand is None else "hands"
             out["masks"] = f"rendered from the true poses, hidden by the {hands}; nothing else is known to be in front"
         if not piece.masks:

@@ -12,7 +12,7 @@ from getagrip.geometry import se3
 from getagrip.hands.model import mirrored
 from getagrip.readers.datasets.dexycb import dexycb_files as files
 from getagrip.readers.datasets.dexycb.dexycb_files import find_dexycb_sequences, infer_hand_side
-from getagrip.readers.datasets.dexycb.dexycb_files import read_dexycb_intrinsics as intrinsics_of
+from getagrip.readers.datasets.realsense import read_colour_intrinsics as intrinsics_of
 from getagrip.readers.datasets.tracks import subject_from_clip_name
 from helpers.dexycb_files import (
     FRAMES,

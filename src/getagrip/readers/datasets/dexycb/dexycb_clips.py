@@ -15,21 +15,21 @@ from collections.abc import Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
-from getagrip.clip import FINGERS, FrameMasks, HandTrack, World
+from getagrip.clip import FINGERS, HandTrack, World
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.io.options import Flag
 from getagrip.io.terminal import format_count
 from getagrip.metrics.contact import signed_distance
 from getagrip.readers.datasets import mano_tracks, track_files
-from getagrip.readers.datasets.cutting import CutSource, TrackedDataset, clip_of_track
+from getagrip.readers.datasets.cutting import CutSource, SeveralCameras, clip_of_track
 from getagrip.readers.datasets.dataset import Note, Part
 from getagrip.readers.datasets.dexycb.dexycb_files import (
     DEXYCB_IMAGE_SIZE_PX,
@@ -45,6 +45,7 @@ from getagrip.readers.datasets.tracks import (
     TrackPiece,
     is_clip_of_sequence,
 )
+from getagrip.readers.datasets.views import TrackView, check_view_count, with_further_views
 from getagrip.stable_grasps.definition import MIN_GRASP_FRAMES, Definition, GraspOptions
 from getagrip.stable_grasps.grasp_lists import CLIP_NAME_SEPARATOR
 from getagrip.stable_grasps.segment_states import true_segments
@@ -72,7 +73,7 @@ def add_table_pose(sequences: Sequence[UnreadSequence], models: Path) -> list[Un
 
     def with_table(sequence: UnreadSequence) -> UnreadSequence:
         others = [other for other in by_subject[sequence.name.partition("/")[0]] if other is not sequence]
-        return UnreadSequence(sequence.name, partial(_read_with_table, sequence, others, models))
+        return replace(sequence, read=partial(_read_with_table, sequence, others, models))
 
     return [with_table(sequence) for sequence in sequences]
 
@@ -140,7 +141,7 @@ DEXYCB_FPS = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class DexYcb(TrackedDataset):
+class DexYcb(SeveralCameras):
     """DexYCB, or a packed file of its sequences: every visible stable grasp."""
 
     root: Annotated[Positional[Path], arg(metavar="ROOT")]
@@ -159,9 +160,12 @@ class DexYcb(TrackedDataset):
         models = mano_tracks.ycb_models_folder(self.root, self.meshes)
         shortest = self.grasps.shortest if self.grasps.listed is None else MIN_GRASP_FRAMES
         found = find_dexycb_sequences(self.root)
+        if self.views != 1 and any(sequence.further_cameras is None for sequence in found):
+            raise UsageError(f"--views {self.views} needs DexYCB's own layout: a packed file has one camera")
         if self.timelines:
             found = add_table_pose(found, models)
-        return [SequenceSource(s.name, partial(_read_dexycb_tracks, s, models, self.whole, shortest)) for s in found]
+        read = partial(_read_dexycb_tracks, models=models, whole=self.whole, shortest=shortest, views=self.views)
+        return [SequenceSource(sequence.name, partial(read, sequence)) for sequence in found]
 
     def parts(self, note: Note) -> Sequence[Part]:
         """List the sequences, cut to stable grasps, or whole. Raises ``UsageError`` for conflicting options."""
@@ -169,6 +173,7 @@ class DexYcb(TrackedDataset):
             return super().parts(note)
         if self.whole or self.grasps.listed is not None:
             raise UsageError("--timelines cannot be used with --whole or --list")
+        check_view_count(self.views)
         definition = self.grasps.definition()
         of = partial(dexycb_timeline_pieces, definition=definition)
         return [CutSource(source, of, definition.shortest) for source in self.sources()]
@@ -241,7 +246,9 @@ class FittedTrack(Track):
         return signed_distance(points.reshape(-1, 3), mesh.vertices, mesh.faces).reshape(points.shape[:2])
 
 
-def _read_dexycb_tracks(sequence: UnreadSequence, models: Path, whole: bool, shortest: int, note: Note) -> list[Track]:
+def _read_dexycb_tracks(
+    sequence: UnreadSequence, note: Note, *, models: Path, whole: bool, shortest: int, views: int | Literal["all"]
+) -> list[Track]:
     """Return the track of a sequence; none with fewer than ``shortest`` known hands. Raises ``InputError``."""
     recording = sequence.read()
     if np.count_nonzero(recording.hand_known) < shortest:
@@ -269,29 +276,39 @@ def _read_dexycb_tracks(sequence: UnreadSequence, models: Path, whole: bool, sho
             "camera": recording.camera or "one of DexYCB's, not necessarily the sequence's own",
             "scale": "YCB mesh, true size",
         },
-        read_masks=partial(_render_dexycb_masks, recording, hand, models),
+        beside=partial(_other_objects, recording, models),
         world=None
         if recording.T_table_cam is None
         else World(np.tile(recording.T_table_cam, (len(hand.frames), 1, 1)), np.array([0.0, 0.0, 1.0])),
     )
     if not whole:
         track = FittedTrack(**vars(track), residuals=hand.residuals, others=len(recording.objects) > 1)
+    track = with_further_views(track, views, partial(_further_views, sequence, recording.camera, len(track)), note)
     return [track.take(np.flatnonzero(poses.known[hand.frames]))]
 
 
-def _render_dexycb_masks(recording: DexYcbRecording, hand: FittedRecordingHand, models: Path, n: int) -> FrameMasks:
-    """Render the grasped object's mask in frame n, and the ignored pixels (the hand, other objects with a mesh)."""
-    from getagrip.geometry.rasterize import true_masks  # loads numba
+def _further_views(sequence: UnreadSequence, own: str, frames: int) -> list[TrackView]:
+    assert sequence.further_cameras is not None
+    return [
+        TrackView(
+            name=camera.serial,
+            K=camera.K,
+            size=DEXYCB_IMAGE_SIZE_PX,
+            T_cam_view=np.tile(camera.T_cam_view, (frames, 1, 1)),
+            camera=camera.serial,
+        )
+        for camera in sequence.further_cameras(own)
+    ]
 
-    surfaces: dict[str, Surface] = {}
+
+def _other_objects(recording: DexYcbRecording, models: Path, n: int) -> tuple[list[Surface], list[Surface]]:
+    """Pose no further hand, and the other objects that have a mesh, in frame n."""
+    surfaces: list[Surface] = []
     for name, poses in recording.objects.items():
-        mesh = mano_tracks.find_mesh(models, name)
+        mesh = None if name == recording.grasped else mano_tracks.find_mesh(models, name)
         if mesh is not None and poses.known[n]:
-            surfaces[name] = se3.transform(poses.T_cam_obj[n], mesh.vertices), mesh.faces
-    grasped = surfaces.pop(recording.grasped)
-    row = int(np.searchsorted(hand.frames, n))
-    in_front = se3.transform(hand.track.T_cam_hand[row], hand.track.vertices[row]), hand.track.faces
-    return FrameMasks(*true_masks(grasped, [in_front], list(surfaces.values()), recording.K, DEXYCB_IMAGE_SIZE_PX))
+            surfaces.append((se3.transform(poses.T_cam_obj[n], mesh.vertices), mesh.faces))
+    return [], surfaces
 
 
 def fit_recording_hand(recording: DexYcbRecording) -> FittedRecordingHand:

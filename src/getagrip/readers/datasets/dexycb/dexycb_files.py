@@ -3,7 +3,8 @@
 DexYCB's own layout is read, as its toolkit (https://github.com/NVlabs/dex-ycb-toolkit) describes it,
 
     calibration/intrinsics/<serial>_640x480.yml     fx, fy, ppx, ppy of the colour camera
-    calibration/extrinsics_<id>/extrinsics.yml      optional: poses (3 x 4) of the cameras and of a tag on the table
+    calibration/extrinsics_<id>/extrinsics.yml      poses (3 x 4) of the cameras and of a tag on the table; for one view
+                                                    optional
     <subject>/<sequence>/meta.yml                   cameras, objects, the grasped object, the hand's side
     <subject>/<sequence>/<serial>/labels_<frame>.npz    pose_y (O, 3, 4), joint_3d (1, 21, 3), seg (480, 640)
 
@@ -30,38 +31,11 @@ from getagrip.hands.fit_joints import JOINT_ORDERS
 from getagrip.hands.model import Side
 from getagrip.io import arrays
 from getagrip.io.files import is_portable_name, list_files, printable, read_yaml, shorten_value
+from getagrip.readers.datasets.realsense import parse_integer, read_colour_intrinsics, read_extrinsics
 from getagrip.readers.datasets.tracks import MAX_SEQUENCE_FRAMES
 
 TABLE_TAG = "apriltag"
 """Name of the tag on the table, z up, in the extrinsics."""
-
-
-def read_dexycb_intrinsics(path: Path) -> Float[ndarray, "3 3"]:
-    """Read the intrinsics of the colour camera [px]. Raises ``InputError``."""
-    colour = read_yaml(path).get("color")
-    wanted = [colour.get(key) if isinstance(colour, dict) else None for key in ("fx", "fy", "ppx", "ppy")]
-    fx, fy, ppx, ppy = (float(v) if isinstance(v, float | int) else np.nan for v in wanted)
-    if not (np.isfinite([fx, fy, ppx, ppy]).all() and fx > 0.0 and fy > 0.0):
-        raise InputError(path, "color", shorten_value(colour), "fx, fy, ppx, ppy in pixels, fx and fy above 0")
-    # DexYCB counts from the centre of the first pixel, this package from its corner.
-    return np.array([[fx, 0.0, ppx + 0.5], [0.0, fy, ppy + 0.5], [0.0, 0.0, 1.0]])
-
-
-def read_table_camera(path: Path, serial: str) -> Float[ndarray, "4 4"]:
-    """Read the pose of a camera in the frame of the tag on the table. Raises ``InputError``."""
-    value = read_yaml(path).get("extrinsics")
-    T_master = {}
-    for key in (serial, TABLE_TAG):  # both in the frame of one of the cameras
-        values = value.get(key) if isinstance(value, dict) else None
-        numbers = values if isinstance(values, list | tuple) else []
-        if len(numbers) != 12 or not all(isinstance(v, float | int) for v in numbers):
-            raise InputError(path, f"extrinsics.{key}", shorten_value(values), "12 numbers, [R | t] row by row")
-        T_master[key] = np.vstack([np.array(numbers, dtype=float).reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
-        if not se3.is_rigid(T_master[key]):
-            raise InputError(path, f"extrinsics.{key}", "a matrix that is not a rigid motion", "[R | t] in metres")
-    return np.asarray(se3.inverse(T_master[TABLE_TAG]) @ T_master[serial])
-
-
 DEXYCB_IMAGE_SIZE_PX = (640, 480)
 """Width and height of DexYCB's images [px]."""
 _YCB_NAMES = """
@@ -107,11 +81,23 @@ class DexYcbRecording:
 
 
 @dataclass(frozen=True)
+class StaticCamera:
+    """A further camera of a sequence."""
+
+    serial: str
+    K: Float[ndarray, "3 3"]
+    T_cam_view: Float[ndarray, "4 4"]
+    """Its pose in the frame of the sequence's camera."""
+
+
+@dataclass(frozen=True)
 class UnreadSequence:
-    """A sequence with its reader, which raises ``InputError`` for malformed files. Picklable."""
+    """A sequence with its readers, which raise ``InputError`` for malformed files. Picklable."""
 
     name: str
     read: Callable[[], DexYcbRecording]
+    further_cameras: Callable[[str], list[StaticCamera]] | None = None
+    """Read the other cameras than that of a serial number; None for packed files, which have one."""
 
 
 def find_dexycb_sequences(root: Path) -> list[UnreadSequence]:
@@ -127,7 +113,12 @@ def find_dexycb_sequences(root: Path) -> list[UnreadSequence]:
     folders = [meta.parent for meta in sorted(root.glob("*/*/meta.yml"))]
     if not folders:
         raise InputError(root, "", "no <subject>/<sequence>/meta.yml and no .npz in it", "DexYCB's own layout")
-    return [UnreadSequence(f"{f.parent.name}/{f.name}", partial(_read_sequence_folder, root, f)) for f in folders]
+    return [
+        UnreadSequence(
+            f"{f.parent.name}/{f.name}", partial(_read_sequence_folder, root, f), partial(_further_cameras, root, f)
+        )
+        for f in folders
+    ]
 
 
 def _find_packed_sequences(path: Path) -> list[UnreadSequence]:
@@ -181,16 +172,16 @@ def _read_sequence_folder(root: Path, folder: Path) -> DexYcbRecording:
     if not (_is_clip_name_part(folder.parent.name) and _is_clip_name_part(folder.name)):
         raise InputError(path, "", "a folder name that clip names cannot contain", "<subject>/<sequence>")
     meta = read_yaml(path)
-    frames = _parse_integer(path, meta, "num_frames", 1, MAX_SEQUENCE_FRAMES)
+    frames = parse_integer(path, meta, "num_frames", 1, MAX_SEQUENCE_FRAMES)
     ids = _parse_list(path, meta, "ycb_ids")
     if not all(isinstance(i, int) and i in YCB_NAME_BY_ID for i in ids) or len(set(ids)) < len(ids):
         raise InputError(path, "ycb_ids", shorten_value(ids), "different numbers of DexYCB's objects, 1 to 21")
-    grasped = ids[_parse_integer(path, meta, "ycb_grasp_ind", 0, len(ids) - 1)]
+    grasped = ids[parse_integer(path, meta, "ycb_grasp_ind", 0, len(ids) - 1)]
     sides: dict[object, Side] = {"left": "left", "right": "right"}
     side = _parse_list(path, meta, "mano_sides")[0]
     if side not in sides:
         raise InputError(path, "mano_sides", shorten_value(side), "left or right")
-    serial = _best_camera(folder, [str(s) for s in _parse_list(path, meta, "serials")], grasped, frames)
+    serial = _best_camera(folder, _serials_with_folder(folder, meta), grasped, frames)
     labels = [_read_label(folder / serial / _label_name(n), len(ids)) for n in range(frames)]
     pose_y, joints = (np.stack(a) for a in zip(*labels, strict=True))
     T_cam_obj = np.zeros((frames, len(ids), 4, 4))
@@ -210,21 +201,43 @@ def _read_sequence_folder(root: Path, folder: Path) -> DexYcbRecording:
         objects={YCB_NAME_BY_ID[id_]: ObjectPoses(T_cam_obj[:, k], known[:, k]) for k, id_ in enumerate(ids)},
         joints=joints,
         hand_known=~np.all(joints == -1.0, axis=(1, 2)),  # unknown hands are -1
-        K=read_dexycb_intrinsics(root / "calibration" / "intrinsics" / f"{serial}_640x480.yml"),
+        K=read_colour_intrinsics(_intrinsics_file(root, serial)),
         T_table_cam=_find_table_camera(root, path, meta, serial),
     )
 
 
-def _best_camera(folder: Path, serials: list[str], grasped: int, frames: int) -> str:
-    """Choose, of the cameras with a folder, the one with the most pixels of the grasped object in the last frame."""
-    there = {serial: folder / serial for serial in serials if serial.isalnum() and (folder / serial).is_dir()}
-    if not there:
+def _serials_with_folder(folder: Path, meta: dict[str, object]) -> list[str]:
+    """List the cameras that have a folder."""
+    serials = [str(serial) for serial in _parse_list(folder / "meta.yml", meta, "serials")]
+    found = [serial for serial in serials if serial.isalnum() and (folder / serial).is_dir()]
+    if not found:
         raise InputError(folder, "serials", f"no folder of any of {', '.join(map(printable, serials))}", "one at least")
-    if len(there) == 1:
-        return next(iter(there))
+    return list(dict.fromkeys(found))
+
+
+def _further_cameras(root: Path, folder: Path, own: str) -> list[StaticCamera]:
+    """Read the other cameras that have a folder. Raises ``InputError``, also without a calibration."""
+    path = folder / "meta.yml"
+    meta = read_yaml(path)
+    others = [serial for serial in _serials_with_folder(folder, meta) if serial != own]
+    T_master_own, *T_master = read_extrinsics(_extrinsics_file(root, path, meta), [own, *others])
+    return [
+        StaticCamera(serial, read_colour_intrinsics(_intrinsics_file(root, serial)), se3.inverse(T_master_own) @ T)
+        for serial, T in zip(others, T_master, strict=True)
+    ]
+
+
+def _intrinsics_file(root: Path, serial: str) -> Path:
+    return root / "calibration" / "intrinsics" / f"{serial}_640x480.yml"
+
+
+def _best_camera(folder: Path, serials: list[str], grasped: int, frames: int) -> str:
+    """Choose the camera with the most pixels of the grasped object in the last frame."""
+    if len(serials) == 1:
+        return serials[0]
     pixels = {}
-    for serial, camera in there.items():
-        path = camera / _label_name(frames - 1)
+    for serial in serials:
+        path = folder / serial / _label_name(frames - 1)
         seg = _check_array(path, arrays.read(path, {"seg"}.__contains__), "seg", DEXYCB_IMAGE_SIZE_PX[::-1], "iu")
         pixels[serial] = np.count_nonzero(seg == grasped)
     return max(pixels, key=pixels.__getitem__)
@@ -241,26 +254,30 @@ def _read_label(path: Path, objects: int) -> tuple[Float[ndarray, "O 3 4"], Floa
     return arrays.floats(path, stored, "pose_y", (objects, 3, 4)), joints[0]
 
 
+def read_table_camera(path: Path, serial: str) -> Float[ndarray, "4 4"]:
+    """Read the pose of a camera in the frame of the tag on the table. Raises ``InputError``."""
+    T_master_tag, T_master_cam = read_extrinsics(path, [TABLE_TAG, serial])
+    return np.asarray(se3.inverse(T_master_tag) @ T_master_cam)
+
+
 def _find_table_camera(root: Path, path: Path, meta: dict[str, object], serial: str) -> Float[ndarray, "4 4"] | None:
     """Read the camera's pose in the frame of the tag on the table; None without a calibration."""
+    file = _extrinsics_file(root, path, meta)
+    return read_table_camera(file, serial) if file.is_file() else None
+
+
+def _extrinsics_file(root: Path, path: Path, meta: dict[str, object]) -> Path:
+    """Return the file of the cameras' poses, which may be missing."""
     name = meta.get("extrinsics", "")
     if not (isinstance(name, str) and (name == "" or _is_clip_name_part(name))):
         raise InputError(path, "extrinsics", shorten_value(name), "the name of a calibration")
-    file = root / "calibration" / f"extrinsics_{name}" / "extrinsics.yml"
-    return read_table_camera(file, serial) if file.is_file() else None
+    return root / "calibration" / f"extrinsics_{name}" / "extrinsics.yml"
 
 
 def _parse_list(path: Path, entry: dict[str, object], key: str) -> list[int]:
     value = entry.get(key)
     if not isinstance(value, list) or not value:
         raise InputError(path, key, shorten_value(value), "a list that is not empty")
-    return value
-
-
-def _parse_integer(path: Path, entry: dict[str, object], key: str, least: int, most: int) -> int:
-    value = entry.get(key)
-    if not isinstance(value, int) or not least <= value <= most:
-        raise InputError(path, key, shorten_value(value), f"a whole number from {least} to {most}")
     return value
 
 

@@ -32,11 +32,11 @@ from getagrip.provenance import (
     provenance_from_arrays,
 )
 from getagrip.readers import streams
-from getagrip.readers.datasets.cutting import MIN_VISIBLE_PIXELS
 from getagrip.readers.datasets.dataset import Note
 from getagrip.readers.datasets.epic import visor
 from getagrip.readers.datasets.epic.epic_images import EPIC_WORLD_UP
 from getagrip.readers.datasets.epic.epic_tables import EpicGrasp, numbering_rate, subject_of
+from getagrip.readers.datasets.views import MIN_VISIBLE_PIXELS
 from getagrip.stable_grasps.segment_states import resolve_overlaps
 from getagrip.synthetic.categories import SYNTHETIC_CATEGORIES
 

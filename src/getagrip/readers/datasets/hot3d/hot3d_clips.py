@@ -16,14 +16,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 from tyro.conf import arg
 
-from getagrip.clip import FrameMasks, HandTrack, Segment, World
+from getagrip.clip import HandTrack, Segment, World
 from getagrip.clip.timeline import at_frames
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
@@ -35,7 +35,7 @@ from getagrip.io.options import Flag
 from getagrip.readers.datasets.cutting import (
     CutSource,
     Pieces,
-    TrackedDataset,
+    SeveralCameras,
     clip_of_track,
     cut_into_grasps,
     in_front_of_camera,
@@ -43,6 +43,7 @@ from getagrip.readers.datasets.cutting import (
 from getagrip.readers.datasets.dataset import Note, Part
 from getagrip.readers.datasets.hot3d.hot3d_files import Hot3dRecording, find_hot3d_recordings, read_recording
 from getagrip.readers.datasets.tracks import SequenceSource, Track, TrackPiece, is_clip_of_sequence
+from getagrip.readers.datasets.views import TrackView, with_further_views
 from getagrip.stable_grasps.definition import GraspOptions
 from getagrip.stable_grasps.find import CutRules, contact_sets
 from getagrip.stable_grasps.grasp_lists import CLIP_NAME_SEPARATOR, ListedTimeline
@@ -144,7 +145,7 @@ HOT3D_WORLD_UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hot3d(TrackedDataset):
+class Hot3d(SeveralCameras):
     """Raw HOT3D recordings: every hold of an object by a hand."""
 
     grasps: Annotated[GraspOptions, arg(name="")] = HOT3D_GRASP_OPTIONS
@@ -203,7 +204,9 @@ class Hot3d(TrackedDataset):
         expected = (lengths or {}) if self.first_frame is None else {}
         first = self.first_frame or 0
         return [
-            SequenceSource(name, partial(_recording_tracks, name, files, objects, expected.get(name), first))
+            SequenceSource(
+                name, partial(_recording_tracks, name, files, objects, expected.get(name), first, self.views)
+            )
             for name, files in found.items()
         ]
 
@@ -258,8 +261,9 @@ class Hot3dObjects:
 
 
 def _recording_tracks(
-    name: str, files: dict[str, Path], objects: Hot3dObjects, frames: int | None, first: int, note: Note
-) -> Iterator[Track]:
+    name: str, files: dict[str, Path], objects: Hot3dObjects, frames: int | None, first: int,
+    views: int | Literal["all"], note: Note,
+) -> Iterator[Track]:  # fmt: skip
     """Yield every hand with every object of a recording. Raises ``InputError``.
 
     ``frames`` is the required number of frames, ``first`` a list's number of the first frame.
@@ -267,12 +271,28 @@ def _recording_tracks(
     folder = next(iter(files.values())).parent
     if not is_portable_name(name):
         raise InputError(folder, "", f"the name {shorten_value(name)}", "P<person>_<id>")
-    recording = read_recording(name, files)
+    recording = read_recording(name, files, views != 1)
     if frames not in (None, len(recording.times)):
         expected = f"{frames}, as the list counts them: say with --first-frame what number the first has"
         raise InputError(folder, "headset_trajectory.csv", f"{len(recording.times)} frames", expected)
     for track in hand_object_tracks(folder, recording, objects, note):
-        yield replace(track, origin=-first)
+        of_track = partial(_further_views, recording, track.numbers)
+        yield with_further_views(replace(track, origin=-first), views, of_track, note)
+
+
+def _further_views(recording: Hot3dRecording, frames: Int[ndarray, "T"]) -> list[TrackView]:
+    own, *others = recording.cameras
+    return [
+        TrackView(
+            name=camera.label,
+            K=camera.pinhole.K,
+            size=camera.pinhole.size,
+            T_cam_view=se3.inverse(own.T_world_cam[frames]) @ camera.T_world_cam[frames],
+            camera=camera.description,
+            covered=camera.pinhole.covered(camera.fisheye),
+        )
+        for camera in others
+    ]
 
 
 def hand_object_tracks(folder: Path, recording: Hot3dRecording, objects: Hot3dObjects, note: Note) -> Iterator[Track]:
@@ -306,7 +326,8 @@ def hand_object_tracks(folder: Path, recording: Hot3dRecording, objects: Hot3dOb
                 ),
                 T_cam_obj=T_cam_world @ poses.T_world_obj[frames],
                 mesh=meshes[uid],
-                read_masks=partial(_render_hot3d_masks, recording, side, uid, meshes, covered),
+                beside=partial(_other_surfaces, recording, side, uid, meshes),
+                covered=covered,
                 world=World(camera.T_world_cam[frames], HOT3D_WORLD_UP),
                 stamps=1e-9 * (recording.times[frames] - recording.times[0]),
                 provenance={
@@ -314,7 +335,7 @@ def hand_object_tracks(folder: Path, recording: Hot3dRecording, objects: Hot3dOb
                     "object_uid": uid,
                     "hands": "HOT3D's UmeTrack hands (true)",
                     "masks": "rendered from the true poses, hidden by both hands and by other objects with a mesh",
-                    "camera": f"{camera.device}, {camera.label}: a pinhole of the fisheye lens's focal length and axis",
+                    "camera": camera.description,
                     "bop": camera.bop,
                     "scale": "HOT3D's scanned mesh, true size",
                     "times": "poses are the nearest in time to the frame, at most 5 ms off",
@@ -322,24 +343,19 @@ def hand_object_tracks(folder: Path, recording: Hot3dRecording, objects: Hot3dOb
             )
 
 
-def _render_hot3d_masks(
-    recording: Hot3dRecording, side: Side, uid: str, meshes: dict[str, Mesh], covered: Bool[ndarray, "H W"], n: int
-) -> FrameMasks:
-    """Render the masks of frame n; ``covered`` are the pixels inside the fisheye image."""
-    from getagrip.geometry.rasterize import true_masks  # loads numba
-
+def _other_surfaces(
+    recording: Hot3dRecording, side: Side, uid: str, meshes: dict[str, Mesh], n: int
+) -> tuple[list[Surface], list[Surface]]:
+    """Pose the other hand, and the other objects that have a mesh, in the camera frame in frame n."""
     T_cam_world = se3.inverse(recording.camera.T_world_cam[n])
     hands: list[Surface] = [
         (se3.transform(T_cam_world @ hand.T_world_hand[n], hand.posed.vertices[n]), hand.posed.faces)
-        for _, hand in sorted(recording.hands.items(), key=lambda item: item[0] != side)
-        if hand.known[n]
+        for other, hand in recording.hands.items()
+        if other != side and hand.known[n]
     ]
-    objects: dict[str, Surface] = {
-        other: (se3.transform(T_cam_world @ poses.T_world_obj[n], meshes[other].vertices), meshes[other].faces)
+    objects: list[Surface] = [
+        (se3.transform(T_cam_world @ poses.T_world_obj[n], meshes[other].vertices), meshes[other].faces)
         for other, poses in recording.objects.items()
-        if other in meshes and poses.known[n]
-    }
-    grasped = objects.pop(uid)
-    pinhole = recording.camera.pinhole
-    visible, ignore, holding = true_masks(grasped, hands, list(objects.values()), pinhole.K, pinhole.size)
-    return FrameMasks(visible & covered, ignore | ~covered, holding & covered)
+        if other != uid and other in meshes and poses.known[n]
+    ]
+    return hands, objects

@@ -26,7 +26,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.fisheye import Fisheye624, Pinhole, pinhole
 from getagrip.hands import umetrack
 from getagrip.hands.model import PosedHand, Side
-from getagrip.io.files import MAX_JSON_BYTES, Json, read_bytes
+from getagrip.io.files import MAX_JSON_BYTES, Json, is_portable_name, read_bytes, shorten_value
 from getagrip.readers.datasets.tracks import MAX_SEQUENCE_FRAMES
 
 OBJECT_POSE_FILES = ("dynamic_objects.csv", "dynamic_objects_v2.csv")
@@ -40,7 +40,7 @@ MAX_HOT3D_SIDE_PX = 8192
 MAX_POSE_NUMBER = 1e9
 """Maximum absolute number in a pose, an angle or a calibration."""
 SIDE_BY_HAND_ID: dict[str, Side] = {"0": "left", "1": "right"}
-ARIA_CAMERAS = {"camera-rgb": (1408, 1408), "camera-slam-left": (640, 480)}
+ARIA_CAMERAS = {"camera-rgb": (1408, 1408), "camera-slam-left": (640, 480), "camera-slam-right": (640, 480)}
 """Cameras in order of preference, with their image sizes [px], which the calibration lacks."""
 
 
@@ -73,6 +73,11 @@ class HeadsetCamera:
     """Poses of the pinhole."""
 
     @property
+    def description(self) -> str:
+        """Description for the provenance."""
+        return f"{self.device}, {self.label}: a pinhole of the fisheye lens's focal length and axis"
+
+    @property
     def bop(self) -> dict[str, str]:
         """Dataset, split and camera, by their names in the BOP benchmark."""
         split = "test-aria" if self.device == "Aria" else "test-quest3"
@@ -81,15 +86,21 @@ class HeadsetCamera:
 
 @dataclass(frozen=True)
 class Hot3dRecording:
-    """The camera, hands and objects of a recording at the camera's frames."""
+    """The cameras, hands and objects of a recording at the first camera's frames."""
 
     name: str
     times: Int[ndarray, "N"]
     """Times of the frames [ns]."""
-    camera: HeadsetCamera
+    cameras: tuple[HeadsetCamera, ...]
+    """The clips' camera first."""
     hands: dict[Side, RecordedHand]
     objects: dict[str, WorldPoses]
     """By HOT3D's object uid."""
+
+    @property
+    def camera(self) -> HeadsetCamera:
+        """The clips' camera."""
+        return self.cameras[0]
 
 
 HOT3D_CLIPS_PATTERNS = ("clip-*.tar", "*.objects.json", "*.cameras.json")
@@ -120,8 +131,11 @@ def _clips_layout_error(root: Path) -> InputError:
     return InputError(root, "", got, "HOT3D's full recordings, as its own downloader saves them")
 
 
-def read_recording(name: str, files: dict[str, Path]) -> Hot3dRecording:
-    """Read the files of one recording. Raises ``InputError`` where one is missing or malformed."""
+def read_recording(name: str, files: dict[str, Path], all_cameras: bool = False) -> Hot3dRecording:
+    """Read the files of one recording, with its first camera or with all. Raises ``InputError``.
+
+    A file may be missing or malformed.
+    """
 
     def need(*alternatives: str) -> Path:
         for alternative in alternatives:
@@ -140,14 +154,17 @@ def read_recording(name: str, files: dict[str, Path]) -> Hot3dRecording:
     object_poses = _read_poses_csv(need(*OBJECT_POSE_FILES))
     objects = {uid: WorldPoses(*_nearest_values(times, poses)) for uid, poses in object_poses.items()}
     calibration = need("online_calibration.jsonl", "camera_models.json")
-    camera = (
-        _read_aria_camera(calibration, times, T_world_device)
+    cameras = (
+        _read_aria_cameras(calibration, times, T_world_device, all_cameras)
         if calibration.suffix == ".jsonl"
-        else _read_quest_camera(calibration, T_world_device)
+        else _read_quest_cameras(calibration, T_world_device, all_cameras)
     )
+    labels = [camera.label for camera in cameras]
+    if all_cameras and (len(set(labels)) < len(labels) or not all(map(is_portable_name, labels))):
+        raise InputError(calibration, "cameras", shorten_value(labels), "different names of cameras")
     model = umetrack.load(need("umetrack_hand_user_profile.json"))
     hands = _read_recorded_hands(need("umetrack_hand_pose_trajectory.jsonl"), model, times)
-    return Hot3dRecording(name, times, camera, hands, objects)
+    return Hot3dRecording(name, times, cameras, hands, objects)
 
 
 def _read_recorded_hands(
@@ -171,49 +188,65 @@ def _read_recorded_hands(
     return hands
 
 
-def _read_aria_camera(path: Path, times: Int[ndarray, "N"], T_world_device: Float[ndarray, "N 4 4"]) -> HeadsetCamera:
-    """Read the RGB camera, or else the left SLAM camera, calibrated online.
+def _read_aria_cameras(
+    path: Path, times: Int[ndarray, "N"], T_world_device: Float[ndarray, "N 4 4"], all_cameras: bool
+) -> tuple[HeadsetCamera, ...]:
+    """Read the RGB camera, or else the left SLAM camera, calibrated online, optionally with those after it.
 
     The calibration's clock differs from the poses' clock and drifts little, so both are set equal at the first frame.
     The lens is taken from the first frame, the camera's mount on the headset from every frame.
     """
-    lenses: list[Fisheye624] = []
-    mounts: dict[int, Float[ndarray, "4 4"]] = {}
-    label = ""
+    lenses: dict[str, Fisheye624] = {}
+    mounts: dict[str, dict[int, Float[ndarray, "4 4"]]] = {}
     for number, line in _read_json_lines(path):
         with _input_errors_at(path, f"line {number}", f"the calibration of one of {', '.join(ARIA_CAMERAS)}"):
             cameras = {camera["Label"]: camera for camera in line["CameraCalibrations"] if camera["Calibrated"]}
-            label = label or next(name for name in ARIA_CAMERAS if name in cameras)
-            if label in cameras:
+            if not mounts:
+                labels = [name for name in ARIA_CAMERAS if name in cameras]
+                mounts = {label: {} for label in (labels if all_cameras else [next(iter(labels))])}
+            for label in mounts.keys() & cameras.keys():
                 mount = cameras[label]["T_Device_Camera"]
                 w, xyz = mount["UnitQuaternion"]
                 time = 1000 * _parse_positive_integer(line["tracking_timestamp_us"])
-                mounts[time] = _rigid_from_quaternion([w, *xyz, *mount["Translation"]])
-                lenses.append(Fisheye624.from_parameters(cameras[label]["Projection"]["Params"], ARIA_CAMERAS[label]))
+                mounts[label][time] = _rigid_from_quaternion([w, *xyz, *mount["Translation"]])
+                params = cameras[label]["Projection"]["Params"]
+                lenses.setdefault(label, Fisheye624.from_parameters(params, ARIA_CAMERAS[label]))
     if not mounts:
         raise InputError(path, "", "no line", "a calibration for every frame")
-    start = min(mounts)
-    T_device_fisheye, _ = _nearest_values(times - times[0] + start, mounts)
-    view = _make_upright_pinhole(lenses[0])
-    return HeadsetCamera("Aria", label, lenses[0], view, T_world_device @ T_device_fisheye @ view.T_fisheye_pinhole)
+    start = min(next(iter(mounts.values())))
+    out = []
+    for label, of_label in mounts.items():
+        T_device_fisheye, _ = _nearest_values(times - times[0] + start, of_label)
+        out.append(_headset_camera("Aria", label, lenses[label], T_world_device @ T_device_fisheye))
+    return tuple(out)
 
 
-def _read_quest_camera(path: Path, T_world_device: Float[ndarray, "N 4 4"]) -> HeadsetCamera:
-    """Read the first large camera of a Quest 3, which is stream 1201-1."""
+def _read_quest_cameras(
+    path: Path, T_world_device: Float[ndarray, "N 4 4"], all_cameras: bool
+) -> tuple[HeadsetCamera, ...]:
+    """Read the first large camera of a Quest 3, which is stream 1201-1, or all large ones."""
     try:
-        cameras = json.loads(read_bytes(path, MAX_JSON_BYTES))
+        described = json.loads(read_bytes(path, MAX_JSON_BYTES))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(path, "", f"an unreadable file ({error})", "a JSON list of cameras") from error
+    cameras = []
     with _input_errors_at(path, "cameras", "a list of Fisheye624 cameras"):
-        camera = next(camera for camera in cameras if camera["imageHeight"] >= 640)
-        sides = camera["imageWidth"], camera["imageHeight"]
-        width, height = (_parse_positive_integer(side, MAX_HOT3D_SIDE_PX) for side in sides)
-        fisheye = Fisheye624.from_parameters(camera["projectionParams"], (width, height))
-        mount = camera["T_Device_Camera"]
-        T_device_fisheye = _rigid_from_quaternion([*mount["quaternion_wxyz"], *mount["translation_xyz"]])
-        view = _make_upright_pinhole(fisheye)
-        label = str(camera["label"])
-    return HeadsetCamera("Quest 3", label, fisheye, view, T_world_device @ T_device_fisheye @ view.T_fisheye_pinhole)
+        large = (camera for camera in described if camera["imageHeight"] >= 640)
+        for camera in large if all_cameras else [next(large)]:
+            sides = camera["imageWidth"], camera["imageHeight"]
+            width, height = (_parse_positive_integer(side, MAX_HOT3D_SIDE_PX) for side in sides)
+            fisheye = Fisheye624.from_parameters(camera["projectionParams"], (width, height))
+            mount = camera["T_Device_Camera"]
+            T_device_fisheye = _rigid_from_quaternion([*mount["quaternion_wxyz"], *mount["translation_xyz"]])
+            cameras.append(_headset_camera("Quest 3", str(camera["label"]), fisheye, T_world_device @ T_device_fisheye))
+    if not cameras:
+        raise InputError(path, "cameras", "no large camera", "one of 640 rows or more")
+    return tuple(cameras)
+
+
+def _headset_camera(device: str, label: str, lens: Fisheye624, T_world_lens: Float[ndarray, "N 4 4"]) -> HeadsetCamera:
+    view = _make_upright_pinhole(lens)
+    return HeadsetCamera(device, label, lens, view, T_world_lens @ view.T_fisheye_pinhole)
 
 
 def _make_upright_pinhole(fisheye: Fisheye624) -> Pinhole:
