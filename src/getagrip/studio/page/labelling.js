@@ -136,7 +136,7 @@ screen.onpointerdown = (event) => {
   };
   screen.onpointerup = screen.onpointercancel = (now) => {
     over(now);
-    if (grabbed !== null && STROKES.includes(state.tool)) labels.work("propagate");
+    if (grabbed !== null && STROKES.includes(state.tool)) renew();
   };
 };
 const within = (point) => point.every((value, axis) => value >= 0 && value <= view.size[axis]);
@@ -155,14 +155,22 @@ export function draw() {
   drawPanel(next());
 }
 
-/** Reconstruct again as soon as all is filled in, where that is wished and the mesh has served once. */
-let worked = null, served = false;
+/** Whether to reconstruct again by oneself: where that is wished and the mesh has served once. */
+const again = () => state.labels.result && $("live").checked && $("mesh").value.trim();
+
+/** Fill in again after a stroke, and reconstruct, which fills in, too, once a first result is there. */
+function renew() {
+  if (again()) reconstruct();
+  else labels.work("propagate");
+}
+
+/** Reconstruct again as soon as all is filled in. */
+let worked = null;
 function follow() {
   const job = state.labels?.job, now = job && `${job.what} ${job.state}`;
   const filled = now === "propagate done" && worked?.startsWith("propagate") && worked !== now;
   worked = now;
-  served ||= now === "reconstruct done";
-  if (filled && served && $("live").checked && !$("reconstruct").disabled && $("mesh").value.trim()) reconstruct();
+  if (filled && again() && !$("reconstruct").disabled) reconstruct();
 }
 
 joints.changed = draw;
