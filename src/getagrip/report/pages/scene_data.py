@@ -36,7 +36,10 @@ FOCUS_SMOOTHING_S = 0.35
 
 
 def draw_page_frame(view: View, n: int, crops: Crops, k: int) -> dict[str, object]:
-    """Draw frame ``n`` in window ``k``: the image, and the contours of object, hands, ground truth and mask."""
+    """Draw frame ``n`` in window ``k``: the image, and the contours of object, hands, ground truth and mask.
+
+    ``place`` is where the image lies in the window, left, top, width, height [px]; the rest is the page's own ground.
+    """
     outlines = {"hand": _surfaces_outline(view.hands(n), view, n, crops, k)}
     if view.posed:
         outlines["object"] = object_outline(view, n, crops, k)
@@ -45,7 +48,11 @@ def draw_page_frame(view: View, n: int, crops: Crops, k: int) -> dict[str, objec
     if view.masks is not None:
         lines = mask_contours(view.masks.object[n])
         outlines["observed"] = svg_paths((line - crops.corner[k]) * crops.zoom for line in lines)
-    return {"picture": jpeg_base64(crop_image(view, n, crops, k), FRAME_JPEG_QUALITY), "outlines": outlines}
+    ends = np.array([-crops.corner[k], np.array(view.clip.size) - crops.corner[k]]) * crops.zoom
+    (left, top), (right, bottom) = np.clip(ends.round(), 0, crops.size).astype(int).tolist()
+    picture = crop_image(view, n, crops, k)[top:bottom, left:right]
+    shown = jpeg_base64(picture, FRAME_JPEG_QUALITY) if picture.size else ""
+    return {"picture": shown, "place": [left, top, right - left, bottom - top], "outlines": outlines}
 
 
 def object_outline(view: View, n: int, crops: Crops, k: int) -> str:

@@ -126,14 +126,14 @@ class Column {
     return this.source.frame(this.rank, place);
   }
 
-  show(place, { picture, outlines, arrays }) {
+  show(n, { picture, place, outlines, arrays }) {
     this.unread("");
-    this.part(".picture").hidden = false;
-    this.part(".picture").src = `data:image/jpeg;base64,${picture}`;
+    this.part(".picture").setAttribute("href", `data:image/jpeg;base64,${picture}`);
+    ["x", "y", "width", "height"].forEach((name, k) => this.part(".picture").setAttribute(name, place[k]));
     for (const [name, group] of Object.entries(this.paths)) {
       for (const path of group.children) path.setAttribute("d", outlines[name] || "");
     }
-    if (this.viewer) this.viewer.show(place, this.rank, arrays);
+    if (this.viewer) this.viewer.show(n, this.rank, arrays);
   }
 
   /** Say why a frame cannot be shown. */

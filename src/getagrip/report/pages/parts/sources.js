@@ -44,10 +44,11 @@ class Embedded {
 
   /** A frame with one of the candidates; how near the surfaces are is known of the result alone. */
   async frame(rank, n) {
-    const { picture, outlines, others } = this.column.pictures[n];
+    const { picture, place, outlines, others } = this.column.pictures[n];
     const names = MOVING.filter((name) => this.arrays[name] && (rank === 0 || !name.endsWith("_near")));
     return {
       picture,
+      place,
       outlines: rank === 0 ? outlines : { ...outlines, object: others[rank - 1] },
       arrays: Object.fromEntries(names.map((name) => [name, block(this.arrays[name], n)])),
     };
@@ -70,8 +71,8 @@ class Fetched {
   }
 
   async read(path) {
-    const { picture, outlines, arrays, packed } = await ask(path);
-    return { picture, outlines, arrays: await unpack(arrays, packed) };
+    const { picture, place, outlines, arrays, packed } = await ask(path);
+    return { picture, place, outlines, arrays: await unpack(arrays, packed) };
   }
 
   gap() {
