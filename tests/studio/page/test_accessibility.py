@@ -11,7 +11,19 @@ import pytest
 from getagrip.result import write_result
 from getagrip.result.findings import Finding, Probability
 from getagrip.studio import jobs
-from helpers.annotation import FIRST_FRAME, IN_BROWSER, MARK, Served, close, draw_disc, expect, opened, saved, shows
+from helpers.annotation import (
+    FIRST_FRAME,
+    IN_BROWSER,
+    LAST_FRAME,
+    MARK,
+    Served,
+    close,
+    draw_disc,
+    expect,
+    opened,
+    saved,
+    shows,
+)
 from helpers.clips import small_clip
 from helpers.environment import needs_library
 from helpers.results import true_result
@@ -123,3 +135,29 @@ def test_buttons_are_pressed_by_the_keyboard(context: Any, served: Served) -> No
     expect(page.locator("#timeline")).to_have_attribute("aria-valuenow", str(before + 1))
     page.click("#closer")
     assert page.evaluate("document.activeElement === document.body")
+
+
+PLACES = """addEventListener("DOMContentLoaded", () => {
+  window.places = [];
+  const note = () => picture.width > 16 && places.push(layer.getAttribute("transform"));
+  new MutationObserver(note).observe(layer, { attributes: true });
+})"""
+
+
+@pytest.mark.parametrize("size", [(1020, 680), (1280, 720), (390, 844)])
+def test_the_picture_stands_still_from_its_first_frame_on(browser: Any, served: Served, size: tuple[int, int]) -> None:
+    """Also where the window is narrow, as at 150 %: no line beside it wraps later, however long its words become."""
+    context = browser.new_context(viewport={"width": size[0], "height": size[1]})
+    page = context.new_page()
+    page.add_init_script(PLACES)
+    page.goto(f"{served.server.url}#annotator=ann")
+    shows(page, FIRST_FRAME)
+    page.keyboard.press("End")
+    shows(page, LAST_FRAME)
+    page.wait_for_timeout(300)
+    assert len(set(page.evaluate("places"))) == 1
+    page.evaluate("frame.textContent = 9999; time.textContent = '1:23.45'")
+    page.wait_for_timeout(100)
+    assert len(set(page.evaluate("places"))) == 1
+    assert page.evaluate("document.documentElement.scrollWidth") == size[0]
+    close(context)
