@@ -31,6 +31,7 @@ from getagrip.studio.jobs import BackgroundJob, BackgroundQueue, Work
 from getagrip.studio.masks.filled_maps import FilledFrames, FilledMaps
 from getagrip.studio.masks.propagate_clip import keyframe_spans
 from getagrip.studio.next_step import discount_confidence, lost_frames, next_step, suggest_frame
+from getagrip.studio.shapes import mesh_error
 from getagrip.studio.shown_result import ResultOutlines, describe_result, take_candidate
 from getagrip.studio.store import grasp_settings, history
 from getagrip.studio.store.export_clip import footage_checksum
@@ -215,6 +216,8 @@ class Labelling:
     def reconstruct(self, grasp: Grasp, content: Json) -> None:
         """Start to write the files, make a clip of them and reconstruct it. Raises ``RefusedError``."""
         shape = jobs.parse_requested_mesh(content)
+        if error := mesh_error(shape):
+            raise RefusedError(error)
         self.state_shape(grasp, shape)
         self._check_enough(grasp, self.labels(grasp))
 

@@ -10,7 +10,7 @@ export const invited = new URLSearchParams(location.hash.slice(1)).get("annotato
 
 export const state = {
   annotator: invited ?? localStorage.getItem("getagrip-annotator"),
-  tasks: [], categories: [], reasons: [],
+  tasks: [], categories: [], reasons: [], kinds: [],
   task: null, // the one that is open
   info: null, // its frames
   marks: [], newest: -1,
