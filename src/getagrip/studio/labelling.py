@@ -31,7 +31,6 @@ from getagrip.studio.jobs import BackgroundJob, BackgroundQueue, Work
 from getagrip.studio.masks.filled_maps import FilledFrames, FilledMaps
 from getagrip.studio.masks.propagate_clip import keyframe_spans
 from getagrip.studio.next_step import discount_confidence, lost_frames, next_step, suggest_frame
-from getagrip.studio.shapes import mesh_error
 from getagrip.studio.shown_result import ResultOutlines, describe_result, take_candidate
 from getagrip.studio.store import grasp_settings, history
 from getagrip.studio.store.export_clip import footage_checksum
@@ -49,6 +48,7 @@ from getagrip.studio.store.labels import (
 )
 from getagrip.studio.store.mark_store import Store
 from getagrip.studio.store.marks import Grasp, MarkedGrasp
+from getagrip.studio.store.shapes import mesh_error
 from getagrip.studio.store.tasks import open_footage
 
 Basis = dict[str, list[tuple[int, int, str]]]

@@ -25,8 +25,8 @@ from urllib.parse import parse_qs, quote, urlsplit
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.report.serving import LOOPBACK, SCRIPTED_PAGE_HEADERS, QuietHandler, QuietServer
 from getagrip.studio.project import Project
-from getagrip.studio.shapes import kind_picture
 from getagrip.studio.store.history import RefusedError
+from getagrip.studio.store.shapes import kind_picture
 
 LOCAL_HOST_NAMES = (LOOPBACK, "localhost")
 """Names of this machine in its own browser."""

@@ -59,7 +59,7 @@ def mesh_error(shape: RequestedMesh) -> str:
     return ""
 
 
-def size_doubt(shape: RequestedMesh) -> str:
+def unusual_size(shape: RequestedMesh) -> str:
     """Return what is odd about the stated size of a kind, in words; empty for a usual size, and for a file."""
     if shape.size_mm is None or shape.mesh not in KINDS or Path(shape.mesh).is_file():
         return ""

@@ -11,8 +11,8 @@ from PIL import Image
 
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.studio.jobs import RequestedMesh
-from getagrip.studio.shapes import KINDS, PICTURE_PX, kind_picture, mesh_error, size_doubt
 from getagrip.studio.store.history import RefusedError
+from getagrip.studio.store.shapes import KINDS, PICTURE_PX, kind_picture, mesh_error, unusual_size
 from helpers.clips import box
 
 
@@ -27,8 +27,8 @@ def test_a_kind_or_a_file_that_reads_is_a_mesh(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("size", "odd"), [(None, False), (95.0, False), (300.0, False), (9.5, True), (950.0, True)])
 def test_a_size_in_another_unit_is_doubted(size: float | None, odd: bool) -> None:
-    assert bool(size_doubt(RequestedMesh("mug", size))) == odd
-    assert size_doubt(RequestedMesh("mug.obj", size)) == ""
+    assert bool(unusual_size(RequestedMesh("mug", size))) == odd
+    assert unusual_size(RequestedMesh("mug.obj", size)) == ""
 
 
 def test_kinds_have_pictures_of_their_own() -> None:
