@@ -20,6 +20,9 @@ from helpers.annotation import (
     close,
     draw_disc,
     expect,
+    kept,
+    near,
+    on_screen,
     opened,
     saved,
     shows,
@@ -117,6 +120,61 @@ def test_a_grasp_is_marked_by_touch_alone(browser: Any, served: Served) -> None:
     assert (mark["start"], mark["end"], mark["side"]) == (0, 3, "left")
     page.tap("#ends button:has-text('Label')")
     expect(page.locator("#label-title")).to_have_text("Frames 1 – 4")
+    close(context)
+
+
+CROSS = """(() => {
+  const [, y, , x] = document.querySelector("#layer .cross").getAttribute("d").match(/[\\d.]+/g).map(Number);
+  return [x, y];
+})()"""
+"""Where the keyboard draws."""
+
+
+@pytest.mark.parametrize("by", ["keyboard", "touch"])
+def test_strokes_and_polygons_are_drawn_without_a_mouse(browser: Any, served: Served, by: str) -> None:
+    context = browser.new_context(viewport={"width": 820, "height": 1180}, has_touch=by == "touch")
+    page = context.new_page()
+    page.goto(f"{served.server.url}#annotator=ann")
+    shows(page, FIRST_FRAME)
+
+    def tool(name: str, key: str) -> None:
+        if by == "touch":
+            page.tap(f"#tools button[data-tool={name}]")
+        else:
+            page.keyboard.press(key)
+
+    def point(at: tuple[float, float]) -> None:
+        """Where nothing is further away than a hundred presses of a key."""
+        if by == "touch":
+            page.touchscreen.tap(*on_screen(page, at))
+            return
+        if not page.locator("#layer .cross").count():
+            page.keyboard.press(".")
+        for axis, (less, more) in enumerate((("a", "d"), ("w", "x"))):
+            for faster in ("Shift+", ""):
+                for _ in range(100):
+                    left = at[axis] - page.evaluate(CROSS)[axis]
+                    if abs(left) <= (25.0 if faster else 3.0):
+                        break
+                    page.keyboard.press(faster + (more if left > 0 else less))
+        page.keyboard.press(".")
+
+    tool("on", "q")
+    for at in ((130.0, 110.0), (150.0, 120.0)):
+        point(at)
+    saved(page)
+    strokes = [one["points"] for one in kept(served)[FIRST_FRAME].outlines.values() if one["of"] == "on"]
+    assert near(strokes, [[[130.0, 110.0]], [[150.0, 120.0]]], 3.0)
+    tool("object", "o")
+    for at in ((100.0, 90.0), (160.0, 90.0), (130.0, 150.0)):
+        point(at)
+    if by == "touch":
+        page.tap("#outlines button:has-text('Close')")
+    else:
+        page.keyboard.press("Enter")
+    saved(page)
+    (polygon,) = kept(served)[FIRST_FRAME].polygons("object")
+    assert near(polygon, [[100.0, 90.0], [160.0, 90.0], [130.0, 150.0]], 3.0)
     close(context)
 
 
