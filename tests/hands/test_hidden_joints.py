@@ -44,6 +44,15 @@ def test_a_frame_about_which_nothing_is_known_costs_nothing() -> None:
     assert not slope.any()
 
 
+def test_some_frames_are_no_copy_of_the_distances() -> None:
+    """Those of hundreds of frames are most of what a server takes while it lifts a hand again."""
+    every = OcclusionDistances.of(np.stack([disc(100.0, 160.0, r) for r in (20.0, 40.0, 60.0)]), 1.0)
+    some = every.take(np.array([2, 0])).take(np.array([0]))
+    assert np.shares_memory(some.distance, every.distance)
+    point = np.array([[[200.0, 160.0]]])
+    np.testing.assert_array_equal(some.at(point)[0], every.at(np.tile(point, (3, 1, 1)))[0][2:])
+
+
 def test_derivatives_of_the_cost() -> None:
     model = generic.load("right")
     chains, prior = Chains.of(model), PosePrior.of(model)

@@ -260,7 +260,6 @@ def opened(context: Any, served: Served, who: str | None = "ann") -> Any:
         page.keyboard.press("Enter")
     page.get_by_role("button", name="Label", exact=True).click()
     shows(page, FIRST_FRAME)
-    settle(page)
     return page
 
 
@@ -274,16 +273,6 @@ def goto(page: Any, frame: int) -> None:
     for _ in range(abs(frame - now)):
         page.keyboard.press("ArrowRight" if frame > now else "ArrowLeft")
     shows(page, frame)
-
-
-def settle(page: Any) -> None:
-    """Wait until the picture stands still: what the server says of the grasp may move it once more."""
-    for _ in range(PATIENCE // 200):
-        before = on_screen(page, (0.0, 0.0))
-        page.wait_for_timeout(200)
-        if on_screen(page, (0.0, 0.0)) == before:
-            return
-    raise AssertionError("the picture moves")
 
 
 def on_screen(page: Any, point: Sequence[float]) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from getagrip.geometry.lens import Lens
 from getagrip.io import files
 from getagrip.io.images import write_image
 from getagrip.readers.footage import VideoFootage
-from getagrip.studio import jobs
+from getagrip.studio import jobs, labelling
 from getagrip.studio.masks import filled_maps, propagate_clip
 from getagrip.studio.masks.filled_maps import FilledFrames, FilledMaps
 from getagrip.studio.masks.polygon_drafts import trace_polygons
@@ -159,9 +159,9 @@ def test_masks_that_were_filled_in_are_not_filled_in_again_for_the_files(
     spans = list[tuple[int, int]]()
     propagate = propagate_clip._propagate_span
 
-    def counted(image: Any, keys: Any, span: Any, hand: Any) -> Any:
+    def counted(image: Any, keys: Any, span: Any, *about: Any) -> Any:
         spans.append((span.first, span.last))
-        return propagate(image, keys, span, hand)
+        return propagate(image, keys, span, *about)
 
     def written(one: Clicking) -> dict[str, bytes]:
         assert one.work("files")["state"] == "done"
@@ -185,6 +185,38 @@ def test_masks_that_were_filled_in_are_not_filled_in_again_for_the_files(
     first, clicking.project = clicking.project, again
     assert written(clicking) == kept
     first.close()
+
+
+def test_a_first_result_is_there_before_all_frames_are_filled_in(
+    clicking: Clicking, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has masks of a few frames; the clip is drawn until the result of all of them is there."""
+    seen = list[tuple[int, int, dict[str, Any] | None, str]]()
+
+    def solve(new_clip: Any, shape: Any, out: Path, name: str, *_: object) -> str:
+        state, masks = clicking.state(), len([*new_clip.masks.glob("*.png")])
+        filled = len(clicking.project.drafts(clicking.about, 0)["drafts"])  # type: ignore[arg-type]
+        seen.append((masks, filled, state["result"], state["state"]))
+        folder = out / jobs.RESULTS_FOLDER / name
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "result.json").touch()
+        return "solved"
+
+    monkeypatch.setattr(jobs, "reconstruct_grasp_files", solve)
+    monkeypatch.setattr(jobs, "draw_report", lambda *_: "")
+    monkeypatch.setattr(labelling, "FIRST_MASKS", 3)
+    clicking.label(FIRST)
+    clicking.label(LAST)
+    assert clicking.work("reconstruct", mesh="plate")["state"] == "done"
+    (few, none, before, _), (every, filled_in, first, state) = seen
+    frames = LAST - FIRST + 1
+    assert (few, none, before) == (3, 0, None)
+    assert (every, filled_in, state) == (frames, 2 * frames, "drawn")
+    assert first is not None
+    assert (first["current"], first["first"]) == (True, True)
+    assert (clicking.state()["result"]["first"], clicking.state()["state"]) == (False, "uncertain")
+    assert clicking.work("reconstruct", mesh="plate")["state"] == "done"
+    assert len(seen) == 3  # all is filled in
 
 
 def test_kept_maps_have_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -198,10 +198,10 @@ def _run_background_job(job: BackgroundJob, work: Work) -> None:
     except Exception as error:  # nobody sees a thread's errors: the page shows them
         job.state, job.message = "failed", f"an error of the program: {type(error).__name__}: {error}"
     finally:
-        _return_freed_memory()
+        return_freed_memory()
 
 
-def _return_freed_memory() -> None:
+def return_freed_memory() -> None:
     """Give freed memory back to the system; glibc keeps most of it between the arrays that are still in use."""
     with suppress(AttributeError, OSError, TypeError):  # another library of C
         ctypes.CDLL(None).malloc_trim(0)

@@ -48,6 +48,7 @@ from getagrip.studio.store.labels import (
 )
 from getagrip.studio.store.mark_store import Store
 from getagrip.studio.store.marks import Grasp, MarkedGrasp
+from getagrip.studio.store.shapes import mesh_error
 from getagrip.studio.store.tasks import open_footage
 
 Basis = dict[str, list[tuple[int, int, str]]]
@@ -55,6 +56,8 @@ Basis = dict[str, list[tuple[int, int, str]]]
 
 OUTLINED_FRAMES = 16
 """Number of frames of which outlines are sent at once."""
+FIRST_MASKS = 24
+"""Number of frames whose masks a first result is made of, where twice as many are yet to be filled in."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,8 @@ class Labelling:
         """Return how far a grasp is: "not begun", "drawn", or the verdict on the result of its current labels."""
         record, own = jobs.result_folder(self.out, grasp.name) / "result.json", self._own(grasp)
         outcome = self.store.settings.of(grasp.mark.mark).get("outcome")
-        if outcome is not None and record.is_file() and outcome["of"] == self._inputs(grasp, self._basis(grasp, own)):
+        whole = outcome is not None and not outcome.get("first") and outcome["of"]
+        if whole and record.is_file() and whole == self._inputs(grasp, self._basis(grasp, own)):
             return str(self._describe(record)["verdict"])
         return "drawn" if own else "not begun"
 
@@ -213,10 +217,18 @@ class Labelling:
     def reconstruct(self, grasp: Grasp, content: Json) -> None:
         """Start to write the files, make a clip of them and reconstruct it. Raises ``RefusedError``."""
         shape = jobs.parse_requested_mesh(content)
+        if error := mesh_error(shape):
+            raise RefusedError(error)
         self.state_shape(grasp, shape)
         self._check_enough(grasp, self.labels(grasp))
 
         def work(job: BackgroundJob) -> str:
+            value, basis = self.labels(grasp), self._basis(grasp, self._own(grasp))
+            filled = FilledFrames(self._filled, grasp.mark.mark, _words_by_frame(basis["masks"]))
+            if sum(n not in filled for n in range(value.first, value.last + 1)) > 2 * FIRST_MASKS:
+                self._solve(grasp, shape, job, first=True)
+                job.message = "a first result is there; filling in all frames"
+                self._draft(grasp, value, basis, job)
             said = self._solve(grasp, shape, job)
             self._draw_report_later(grasp)
             return said
@@ -233,14 +245,16 @@ class Labelling:
         self.draw_report(grasp, job)
         return said
 
-    def _solve(self, grasp: Grasp, shape: jobs.RequestedMesh, job: BackgroundJob) -> str:
-        """Do the same without the report."""
+    def _solve(self, grasp: Grasp, shape: jobs.RequestedMesh, job: BackgroundJob, first: bool = False) -> str:
+        """Do the same without the report; for a ``first`` result with masks of ``FIRST_MASKS`` frames."""
         from getagrip.studio.store.export_clip import new_clip_call
 
         value = self.labels(grasp)
         self._check_enough(grasp, value)
-        job.message = "writing the files"
-        made = self._make(grasp, value, job)
+        job.message = f"masks of {FIRST_MASKS} frames for a first result" if first else "writing the files"
+        jobs.return_freed_memory()  # of what was filled in: each step has its own peak
+        made = self._make(grasp, value, job, first)
+        jobs.return_freed_memory()
         confidence = made.confidence
         new_clip = new_clip_call(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
         said = jobs.reconstruct_grasp_files(new_clip, shape, self.out, grasp.name, job, self.depth, self.views)
@@ -254,7 +268,8 @@ class Labelling:
             (number(value.first), number(value.last)), boxes.get(value.first),
         )  # fmt: skip
         text = "\n".join(filter(None, (said, step)))
-        self.store.settings.put(grasp.mark.mark, {"outcome": {"of": made.of, **asdict(shape), "said": text}})
+        outcome = {"of": made.of, **asdict(shape), "said": text, "first": first}
+        self.store.settings.put(grasp.mark.mark, {"outcome": outcome})
         return text
 
     def is_solved(self, grasp: Grasp, shape: jobs.RequestedMesh) -> bool:
@@ -264,7 +279,7 @@ class Labelling:
         outcome = self.store.settings.of(grasp.mark.mark).get("outcome")
         if outcome is not None:
             now = {"of": self._inputs(grasp, self._basis(grasp, self._own(grasp))), **asdict(shape)}
-            return result.is_file() and now.items() <= outcome.items()
+            return result.is_file() and now.items() <= outcome.items() and not outcome.get("first")
         if not (written.is_file() and result.is_file()) or result.stat().st_mtime < written.stat().st_mtime:
             return False
         now = json.loads(json.dumps(labels_to_json(self.whole_labels(grasp))))
@@ -312,7 +327,7 @@ class Labelling:
         """
         return self._make(grasp, value, job).command
 
-    def _make(self, grasp: Grasp, value: Labels, job: BackgroundJob) -> _Written:
+    def _make(self, grasp: Grasp, value: Labels, job: BackgroundJob, first: bool = False) -> _Written:
         from getagrip.studio.store.export_clip import clip_command, write_labelled_clip_files
 
         self.out.mkdir(parents=True, exist_ok=True)
@@ -325,7 +340,7 @@ class Labelling:
             files.write_json(path, {grasp.task.key: grasp.whole.listed().fields})
         whole = replace(value, sha256=footage_checksum(grasp.path))
         write_label_file(whole, self.out / f"labels-{grasp.name}.json")
-        frames = value.last - value.first + 1
+        frames = FIRST_MASKS if first else value.last - value.first + 1
         command = clip_command(replace(value, video=str(grasp.path)), out, self._segments(grasp))
         known = settings.of(grasp.mark.mark).get("written")
         if known is not None and known["of"] == of_code:
@@ -341,9 +356,10 @@ class Labelling:
             made = write_labelled_clip_files(
                 value, image, lens, out, overwrite=True, done=lambda masks: job.report(masks, frames),
                 found=self.found(grasp), name=footage.name, filled=FilledFrames(self._filled, grasp.mark.mark, words),
+                sparse=FIRST_MASKS if first else None,
             )  # fmt: skip
         sure = {str(n): float(x) for n, x in made.confidence.items()}
-        settings.put(grasp.mark.mark, {"written": {"of": of_code, "confidence": sure}})
+        settings.put(grasp.mark.mark, {"written": {"of": "" if first else of_code, "confidence": sure}})
         return _Written(of, command, made.confidence)
 
     def _inputs(self, grasp: MarkedGrasp, basis: Basis) -> str:
@@ -386,7 +402,9 @@ class Labelling:
         about = self._describe(record)
         found = [one | {"steps": here(one["steps"])} for one in about["findings"]]
         said = "" if outcome is None else outcome["said"]
-        return {"current": solved, "said": said, **about, "findings": found, "steps": here(about["steps"])}
+        first = outcome is not None and outcome.get("first", False)
+        shown = {"current": solved, "first": first, "said": said, **about}
+        return shown | {"findings": found, "steps": here(about["steps"])}
 
     def outlines(self, grasp: Grasp, rank: int, first: int) -> dict[str, object]:
         """Return the outlines of a grasp's result, or a candidate of it, in some frames from ``first`` on.

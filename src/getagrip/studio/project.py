@@ -15,8 +15,9 @@ from getagrip.io import files
 from getagrip.io.files import Json
 from getagrip.readers.datasets.epic.epic_tables import EPIC_CATEGORIES
 from getagrip.readers.footage import Footage, FrameNames
+from getagrip.studio.jobs import parse_requested_mesh
 from getagrip.studio.labelling import Labelling
-from getagrip.studio.store import history, labels, marks
+from getagrip.studio.store import history, labels, marks, shapes
 from getagrip.studio.store.export_clip import tasks_of_labels
 from getagrip.studio.store.history import Change, RefusedError, parse_token
 from getagrip.studio.store.labels import Labels
@@ -83,6 +84,7 @@ class Project:
             "tasks": tasks,
             "categories": EPIC_CATEGORIES,
             "reasons": marks.DISCARD_REASONS,
+            "kinds": shapes.KINDS,
             "last": last if there else None,
         }
 
@@ -149,6 +151,11 @@ class Project:
         grasp = self._grasp(content)
         undone = self.labelling.undo(grasp, parse_token(content, "tab"), parse_token(content, "change"))
         return self._labels(grasp) | undone
+
+    def check_shape(self, content: Json) -> dict[str, object]:
+        """Return what is wrong with a mesh, and what is odd about its size, in words. Raises ``RefusedError``."""
+        shape = parse_requested_mesh(content)
+        return {"mesh": shapes.mesh_error(shape), "size_mm": shapes.unusual_size(shape)}
 
     def work(self, content: Json) -> dict[str, object]:
         """Start to "propagate", write "files" or "reconstruct" a grasp, take a "candidate" of its result, or "cancel".

@@ -26,6 +26,7 @@ from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.report.serving import LOOPBACK, SCRIPTED_PAGE_HEADERS, QuietHandler, QuietServer
 from getagrip.studio.project import Project
 from getagrip.studio.store.history import RefusedError
+from getagrip.studio.store.shapes import kind_picture
 
 LOCAL_HOST_NAMES = (LOOPBACK, "localhost")
 """Names of this machine in its own browser."""
@@ -69,6 +70,7 @@ CHANGE_ROUTES = {
     "/api/label": "label",
     "/api/unlabel": "unlabel",
     "/api/set": "set",
+    "/api/shape": "check_shape",
     "/api/work": "work",
 }
 """Methods of the project, by the path of their requests."""
@@ -230,6 +232,8 @@ class _StudioHandler(QuietHandler):
             self.send(image, "image/jpeg", {"X-Time": f"{time:.6f}", "X-Number": str(number)})
         elif url.path in DATA_ROUTES:
             self.send_json(DATA_ROUTES[url.path](project, asked))
+        elif url.path == "/kind.png":
+            self.send(kind_picture(asked.get("kind", "")), "image/png")
         elif url.path == "/labels.json":
             text, name = project.labels_file(asked)
             self._send_file(text, "json", name)

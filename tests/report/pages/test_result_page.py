@@ -8,14 +8,17 @@ import json
 import re
 import zlib
 from dataclasses import replace
+from io import BytesIO
 from typing import Any
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 from getagrip.clip import OtherHand
 from getagrip.geometry import se3
+from getagrip.geometry.camera import Crops
 from getagrip.metrics.evaluate.results import Evaluation
 from getagrip.report.pages import scene_data
 from getagrip.report.pages.index_page import IndexRow, _result_sets, write_index
@@ -128,3 +131,15 @@ def test_what_the_other_hand_touches_is_touched() -> None:
         assert found[name][[1, 3, 4]].max() == 0
     assert found["hand_near"].max() == 0
     assert scene_data.constant_arrays(candidate_views(both), surface)["other_hand_known"].tolist() == [1, 0, 1, 0, 0]
+
+
+def test_beside_the_footage_a_picture_is_the_pages_own_ground() -> None:
+    """A window leaves the image at the left and at the top: its picture holds the image alone."""
+    clip, masks = egg_and_mug()
+    view = View.of(perfect(clip, "it"), clip, masks)
+    width, height = clip.size
+    crops = Crops(np.array([[-width / 2, -height / 4]]), 2.0 * width, 100)
+    made = scene_data.draw_page_frame(view, 0, crops, 0)
+    tall = round(height * crops.zoom)
+    assert made["place"] == [25, round(height / 4 * crops.zoom), 50, tall]
+    assert Image.open(BytesIO(base64.b64decode(str(made["picture"])))).size == (50, tall)

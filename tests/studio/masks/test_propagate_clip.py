@@ -16,7 +16,13 @@ from numpy import ndarray
 from getagrip.errors import UsageError
 from getagrip.studio.masks import propagate_clip
 from getagrip.studio.masks.graph_cut import ColourHistogram, colour_bins, remove_object_colours
-from getagrip.studio.masks.propagate_clip import _mark_lost, keyframe_spans, merge_masks, propagate_labels
+from getagrip.studio.masks.propagate_clip import (
+    _mark_lost,
+    keyframe_spans,
+    merge_masks,
+    propagate_labels,
+    propagate_sparsely,
+)
 from getagrip.studio.masks.propagate_frame import TrackedMask, place_in_window, signed_distance
 from getagrip.studio.masks.small_frames import SmallFrame, SmallFrames
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
@@ -346,6 +352,22 @@ def test_a_changed_key_changes_the_frames_up_to_its_neighbours_only() -> None:
     again = {n: labels for n, labels, _ in propagate_labels(lambda n: drawn(n)[0], keys, 0, LAST, range(5))}
     assert again.keys() == {*range(5, LAST + 1)}
     assert all(np.array_equal(after[n][0], labels) for n, labels in again.items())
+
+
+def test_a_first_look_has_masks_of_a_few_frames_spread_evenly_and_of_the_keys() -> None:
+    keys = {0: drawn(0)[1], 5: drawn(5)[1]}
+    read = list[int]()
+
+    def image(n: int) -> ndarray:
+        read.append(n)
+        return drawn(n)[0]
+
+    made = [*propagate_sparsely(image, keys, 0, LAST, 3, lambda _: None)]
+    assert [one.frame for one in made] == [0, 4, 5, LAST]
+    assert {*read} == {0, 4, 5, LAST}
+    assert [one.confidence == 1.0 for one in made] == [True, False, True, False]
+    for one in made:
+        assert iou(one.labels == OBJECT_LABEL, drawn(one.frame)[1] == OBJECT_LABEL) > 0.9
 
 
 def test_what_cannot_be_propagated_is_refused() -> None:

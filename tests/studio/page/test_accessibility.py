@@ -11,7 +11,22 @@ import pytest
 from getagrip.result import write_result
 from getagrip.result.findings import Finding, Probability
 from getagrip.studio import jobs
-from helpers.annotation import FIRST_FRAME, IN_BROWSER, MARK, Served, close, draw_disc, expect, opened, saved, shows
+from helpers.annotation import (
+    FIRST_FRAME,
+    IN_BROWSER,
+    LAST_FRAME,
+    MARK,
+    Served,
+    close,
+    draw_disc,
+    expect,
+    kept,
+    near,
+    on_screen,
+    opened,
+    saved,
+    shows,
+)
 from helpers.clips import small_clip
 from helpers.environment import needs_library
 from helpers.results import true_result
@@ -108,6 +123,61 @@ def test_a_grasp_is_marked_by_touch_alone(browser: Any, served: Served) -> None:
     close(context)
 
 
+CROSS = """(() => {
+  const [, y, , x] = document.querySelector("#layer .cross").getAttribute("d").match(/[\\d.]+/g).map(Number);
+  return [x, y];
+})()"""
+"""Where the keyboard draws."""
+
+
+@pytest.mark.parametrize("by", ["keyboard", "touch"])
+def test_strokes_and_polygons_are_drawn_without_a_mouse(browser: Any, served: Served, by: str) -> None:
+    context = browser.new_context(viewport={"width": 820, "height": 1180}, has_touch=by == "touch")
+    page = context.new_page()
+    page.goto(f"{served.server.url}#annotator=ann")
+    shows(page, FIRST_FRAME)
+
+    def tool(name: str, key: str) -> None:
+        if by == "touch":
+            page.tap(f"#tools button[data-tool={name}]")
+        else:
+            page.keyboard.press(key)
+
+    def point(at: tuple[float, float]) -> None:
+        """Where nothing is further away than a hundred presses of a key."""
+        if by == "touch":
+            page.touchscreen.tap(*on_screen(page, at))
+            return
+        if not page.locator("#layer .cross").count():
+            page.keyboard.press(".")
+        for axis, (less, more) in enumerate((("a", "d"), ("w", "x"))):
+            for faster in ("Shift+", ""):
+                for _ in range(100):
+                    left = at[axis] - page.evaluate(CROSS)[axis]
+                    if abs(left) <= (25.0 if faster else 3.0):
+                        break
+                    page.keyboard.press(faster + (more if left > 0 else less))
+        page.keyboard.press(".")
+
+    tool("on", "q")
+    for at in ((130.0, 110.0), (150.0, 120.0)):
+        point(at)
+    saved(page)
+    strokes = [one["points"] for one in kept(served)[FIRST_FRAME].outlines.values() if one["of"] == "on"]
+    assert near(strokes, [[[130.0, 110.0]], [[150.0, 120.0]]], 3.0)
+    tool("object", "o")
+    for at in ((100.0, 90.0), (160.0, 90.0), (130.0, 150.0)):
+        point(at)
+    if by == "touch":
+        page.tap("#outlines button:has-text('Close')")
+    else:
+        page.keyboard.press("Enter")
+    saved(page)
+    (polygon,) = kept(served)[FIRST_FRAME].polygons("object")
+    assert near(polygon, [[100.0, 90.0], [160.0, 90.0], [130.0, 150.0]], 3.0)
+    close(context)
+
+
 def test_buttons_are_pressed_by_the_keyboard(context: Any, served: Served) -> None:
     """Space and Enter press the button that has the focus; the mouse leaves no focus."""
     page = opened(context, served)
@@ -123,3 +193,29 @@ def test_buttons_are_pressed_by_the_keyboard(context: Any, served: Served) -> No
     expect(page.locator("#timeline")).to_have_attribute("aria-valuenow", str(before + 1))
     page.click("#closer")
     assert page.evaluate("document.activeElement === document.body")
+
+
+PLACES = """addEventListener("DOMContentLoaded", () => {
+  window.places = [];
+  const note = () => picture.width > 16 && places.push(layer.getAttribute("transform"));
+  new MutationObserver(note).observe(layer, { attributes: true });
+})"""
+
+
+@pytest.mark.parametrize("size", [(1020, 680), (1280, 720), (390, 844)])
+def test_the_picture_stands_still_from_its_first_frame_on(browser: Any, served: Served, size: tuple[int, int]) -> None:
+    """Also where the window is narrow, as at 150 %: no line beside it wraps later, however long its words become."""
+    context = browser.new_context(viewport={"width": size[0], "height": size[1]})
+    page = context.new_page()
+    page.add_init_script(PLACES)
+    page.goto(f"{served.server.url}#annotator=ann")
+    shows(page, FIRST_FRAME)
+    page.keyboard.press("End")
+    shows(page, LAST_FRAME)
+    page.wait_for_timeout(300)
+    assert len(set(page.evaluate("places"))) == 1
+    page.evaluate("frame.textContent = 9999; time.textContent = '1:23.45'")
+    page.wait_for_timeout(100)
+    assert len(set(page.evaluate("places"))) == 1
+    assert page.evaluate("document.documentElement.scrollWidth") == size[0]
+    close(context)

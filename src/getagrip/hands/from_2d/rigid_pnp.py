@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Float32, Int
 from numpy import ndarray
 
 from getagrip.geometry import se3
@@ -223,8 +223,10 @@ MAX_DISTANCE_IMAGE_PX = 320
 class OcclusionDistances(NamedTuple):
     """Distances from the pixels that show a hand or can hide it, in n frames."""
 
-    distance: Float[ndarray, "n h w"]
+    distance: Float32[ndarray, "m h w"]
     """Distance of each pixel [px of the video]; zero in frames without masks."""
+    rows: Int[ndarray, "n"]
+    """The frames' places in ``distance``, which may be hundreds of megabytes: some of its frames are no copy."""
     zoom: float
     """Pixels of ``distance`` per pixel of the video."""
 
@@ -233,26 +235,26 @@ class OcclusionDistances(NamedTuple):
         """Measure distances from the ``possible`` pixels, in images scaled by ``zoom``."""
         import cv2
 
-        distance = np.zeros(possible.shape, np.float32)  # filled in place: hundreds of frames are tens of megabytes
+        distance = np.zeros(possible.shape, np.float32)
         for out, each in zip(distance, possible, strict=True):
             if each.any():
                 out[:] = cv2.distanceTransform((~each).astype(np.uint8), cv2.DIST_L2, 5) / zoom
-        return OcclusionDistances(distance, zoom)
+        return OcclusionDistances(distance, np.arange(len(distance)), zoom)
 
     def take(self, rows: ndarray) -> OcclusionDistances:
         """Return the distances of some frames."""
-        return self._replace(distance=self.distance[rows])
+        return self._replace(rows=self.rows[rows])
 
     def at(self, uv: Float[ndarray, "n k 2"]) -> tuple[Float[ndarray, "n k"], Float[ndarray, "n k 2"]]:
         """Return the distance at points [px], and its derivative; both zero outside the image."""
-        n, h, w = self.distance.shape
-        if not (n and h > 1 and w > 1):
+        h, w = self.distance.shape[1:]
+        if not (len(self.rows) and h > 1 and w > 1):
             return np.zeros(uv.shape[:2]), np.zeros(uv.shape)
         x, y = np.moveaxis(np.nan_to_num(uv * self.zoom - 0.5, posinf=-2.0, neginf=-2.0), -1, 0)
         inside = (x > 0.0) & (x < w - 1.0) & (y > 0.0) & (y < h - 1.0)
         i, j = (np.clip(np.floor(v), 0, size - 2).astype(int) for v, size in ((x, w), (y, h)))
         a, b = np.where(inside, x - i, 0.0), np.where(inside, y - j, 0.0)
-        row = np.arange(n)[:, None]
+        row = self.rows[:, None]
         p, q, r, s = (self.distance[row, j + dy, i + dx] for dy in (0, 1) for dx in (0, 1))
         value = (1.0 - b) * ((1.0 - a) * p + a * q) + b * ((1.0 - a) * r + a * s)
         slope = np.stack([(1.0 - b) * (q - p) + b * (s - r), (1.0 - a) * (r - p) + a * (s - q)], axis=-1)

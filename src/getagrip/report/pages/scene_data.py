@@ -40,7 +40,8 @@ def draw_page_frame(
 ) -> dict[str, object]:
     """Draw frame ``n`` in window ``k``: the image, and the contours of object, hands, ground truth and mask.
 
-    Also the object's contour by each of the ``others``, and in words the ``iou``, if known.
+    Also the object's contour by each of the ``others``, and in words the ``iou``, if known. ``place`` is where the image
+    lies in the window, left, top, width, height [px]; the rest is the page's own ground.
     """
     outlines = {"hand": _surfaces_outline(view.hands(n), view, n, crops, k)}
     if view.posed:
@@ -50,7 +51,11 @@ def draw_page_frame(
     if view.masks is not None:
         lines = mask_contours(view.masks.object[n])
         outlines["observed"] = svg_paths((line - crops.corner[k]) * crops.zoom for line in lines)
-    out: dict[str, object] = {"picture": jpeg_base64(crop_image(view, n, crops, k), FRAME_JPEG_QUALITY)}
+    ends = np.array([-crops.corner[k], np.array(view.clip.size) - crops.corner[k]]) * crops.zoom
+    (left, top), (right, bottom) = np.clip(ends.round(), 0, crops.size).astype(int).tolist()
+    picture = crop_image(view, n, crops, k)[top:bottom, left:right]
+    shown = jpeg_base64(picture, FRAME_JPEG_QUALITY) if picture.size else ""
+    out: dict[str, object] = {"picture": shown, "place": [left, top, right - left, bottom - top]}
     if others:
         out["others"] = [_object_outline(other, n, crops, k) for other in others]
     if iou is not None:

@@ -47,8 +47,8 @@ from getagrip.studio.masks.propagate_frame import (
 from getagrip.studio.masks.small_frames import ArrayFile, SmallFrame, SmallFrames
 from getagrip.studio.store.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
 
-OBJECT_WORKING_SIZE_PX = 200.0
-"""Longer side of the object in the reduced images in which masks are propagated [px]."""
+OBJECT_WORKING_SIZE_PX, SPARSE_WORKING_SIZE_PX = 200.0, 100.0
+"""Longer side of the object in the reduced images in which masks are propagated, and of those of a few frames [px]."""
 MAX_UPSCALED_PIXELS = 1e6
 """Number of pixels up to which images of small objects are enlarged for this."""
 MIN_COMPONENT_AREA_RATIO = 0.25
@@ -114,11 +114,13 @@ def propagate_labels(
     last: int,
     known: Container[int] = (),
     hand: Hands = lambda _: None,
+    working_size_px: float | None = None,
 ) -> Iterator[PropagatedLabels]:
     """Yield the label maps of the frames ``first`` to ``last``, both included, in order; key frames' are unchanged.
 
     ``keys`` are the key frames' label maps. ``hand`` returns the visible hand, if it is known; a hand drawn on a key
-    frame replaces it up to the adjacent key frames.
+    frame replaces it up to the adjacent key frames. ``working_size_px`` is the longer side of the object in the reduced
+    images, by default ``OBJECT_WORKING_SIZE_PX``.
 
     Spans are skipped if all their frames are ``known``. Images are read from one key frame to the next and back. Raises
     ``UsageError`` where no key frame shows the object, or key frames are outside the interval or of different sizes.
@@ -126,11 +128,28 @@ def propagate_labels(
     _check_keyframes(keys, first, last)
     for span in keyframe_spans(keys, first, last):
         if not all(n in known for n in range(span.first, span.last + 1)):
-            yield from _propagate_span(image, {n: keys[n] for n in span.keys}, span, hand)
+            own = {n: keys[n] for n in span.keys}
+            yield from _propagate_span(image, own, span, hand, working_size_px or OBJECT_WORKING_SIZE_PX)
+
+
+def propagate_sparsely(
+    image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int, count: int, hand: Hands
+) -> Iterator[PropagatedLabels]:
+    """Yield the label maps of about ``count`` frames, evenly spread, and of the key frames, as ``propagate_labels``.
+
+    Each is one step from the one before, at half of the usual size: a first look that takes a fraction of the time.
+    """
+    chosen = sorted({*keys, *np.linspace(first, last, min(count, last - first + 1)).round().astype(int).tolist()})
+    own = {chosen.index(n): labels for n, labels in keys.items()}
+    made = propagate_labels(
+        lambda place: image(chosen[place]), own, 0, len(chosen) - 1, (), lambda place: hand(chosen[place]),
+        SPARSE_WORKING_SIZE_PX,
+    )  # fmt: skip
+    yield from (each._replace(frame=chosen[each.frame]) for each in made)
 
 
 def _propagate_span(
-    image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], span: KeyframeSpan, hand: Hands
+    image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], span: KeyframeSpan, hand: Hands, working_size_px: float
 ) -> Iterator[PropagatedLabels]:
     if any((labels == HAND_LABEL).any() for labels in keys.values()):
         hand = no_hand_mask
@@ -139,7 +158,7 @@ def _propagate_span(
     if first in keys:
         yield PropagatedLabels(first, keys[first], 1.0)
         return
-    size = _working_size(keys)
+    size = _working_size(keys, working_size_px)
     frames = SmallFrames(image, size)
     colours = keyframe_histograms(frames, keys)
     streams = [track_mask(frames, key, keys[key], to, colours, hand) for key, to in ((before, last), (after, first))]
@@ -230,8 +249,8 @@ def _check_keyframes(keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last
         raise UsageError("polygons must be masks of one size (got masks of different sizes)")
 
 
-def _working_size(keys: Mapping[int, UInt8[ndarray, "H W"]]) -> tuple[int, int]:
-    """Return width and height at which the object's longer side, a mean over the keys, is ``OBJECT_WORKING_SIZE_PX``.
+def _working_size(keys: Mapping[int, UInt8[ndarray, "H W"]], working_size_px: float) -> tuple[int, int]:
+    """Return width and height at which the object's longer side, a mean over the keys, is ``working_size_px``.
 
     Only small masks are enlarged. If no key frame shows the object, its occluders count instead.
     """
@@ -242,7 +261,7 @@ def _working_size(keys: Mapping[int, UInt8[ndarray, "H W"]]) -> tuple[int, int]:
     sides = [float(box.max()) for box in boxes[OBJECT_LABEL] or boxes[OCCLUDER_LABEL]]
     height, width = next(iter(keys.values())).shape
     side = max(1.0, float(np.mean(sides or [1.0])))
-    zoom = min(OBJECT_WORKING_SIZE_PX / side, max(1.0, float(np.sqrt(MAX_UPSCALED_PIXELS / (width * height)))))
+    zoom = min(working_size_px / side, max(1.0, float(np.sqrt(MAX_UPSCALED_PIXELS / (width * height)))))
     return max(16, round(zoom * width)), max(16, round(zoom * height))
 
 

@@ -10,7 +10,7 @@ export const invited = new URLSearchParams(location.hash.slice(1)).get("annotato
 
 export const state = {
   annotator: invited ?? localStorage.getItem("getagrip-annotator"),
-  tasks: [], categories: [], reasons: [],
+  tasks: [], categories: [], reasons: [], kinds: [],
   task: null, // the one that is open
   info: null, // its frames
   marks: [], newest: -1,
@@ -18,6 +18,7 @@ export const state = {
   chosen: null, // mark whose start and end are being moved
   defaults: {}, // hand and object of the next mark
   mode: "grasps", // or "labels"
+  cross: null, // where the keyboard draws, in pixels of the footage
 };
 
 // "shown" (frame), "waiting" (bool), "problem" (text), "answer" (path, sent, answer), "refused" (text), "pending"

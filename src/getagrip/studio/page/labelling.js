@@ -13,6 +13,7 @@ import { pan, pointAt, view } from "./view.js";
 
 const REACH = 8; // screen pixels within which a point is meant
 const STILL = 4; // screen pixels that a click may move
+const CROSS_STEP = 4; // screen pixels that the cross moves at once
 
 const TOOLS = { joints, on: strokes("on"), off: strokes("off"), object: outlines("object"), front: outlines("front"), hand: outlines("hand") };
 const STROKES = ["on", "off"];
@@ -27,6 +28,7 @@ function choose(name) {
 
 /** A point that lies in the picture, to a hundredth of a pixel. */
 const inside = (point) => point.map((value, axis) => Math.round(100 * Math.min(Math.max(value, 0), view.size[axis])) / 100);
+const ready = () => state.mode === "labels" && !player.playing && player.shown?.index === player.wanted;
 const inExtent = () => player.wanted >= state.labels.extent[0] && player.wanted <= state.labels.extent[1];
 
 /** Begin to label a grasp: at its start, or where one is in it where that was done before. */
@@ -63,8 +65,30 @@ export function end() {
 
 const nudge = (dx, dy) => (event) => {
   const step = Math.max(0.05, (event.shiftKey ? 10 : 1) / view.scale);
-  if (!tool().nudge(step * dx, step * dy, inside)) say("Click on a point to choose it; then w, a, x, d move it.");
+  if (state.cross) {
+    state.cross = inside([state.cross[0] + CROSS_STEP * step * dx, state.cross[1] + CROSS_STEP * step * dy]);
+    drawOverlay();
+  } else if (!tool().nudge(step * dx, step * dy, inside)) say("Click on a point to choose it; then w, a, x, d move it.");
 };
+
+/** What a click does, at the cross that the keyboard moves; at first the cross is shown, in the middle. */
+function cross() {
+  if (!state.cross) {
+    state.cross = view.size.map((length) => length / 2);
+    say("w, a, x, d move the cross, faster with shift; . draws there, as a click does; Esc hides it.");
+    drawOverlay();
+  } else if (ready() && inExtent()) {
+    place(tool().grab(state.cross, REACH / view.scale), state.cross);
+    if (STROKES.includes(state.tool)) renew();
+  }
+}
+
+function place(grabbed, at) {
+  const reach = REACH / view.scale;
+  if (grabbed !== null) tool().tap(grabbed, inside(at), reach);
+  else if (within(at)) tool().click(inside(at), reach);
+  draw();
+}
 
 /** The next or previous frame that has labels. */
 function keyframe(by) {
@@ -97,7 +121,8 @@ export const KEYS = {
   "x": nudge(0, 1),
   "d": nudge(1, 0),
   "Enter": () => tool().finish(),
-  "Escape": () => { joints.finish(); draw(); },
+  ".": cross,
+  "Escape": () => { state.cross = null; joints.finish(); draw(); },
   "Delete": remove,
   "Backspace": remove,
   "k": take,
@@ -113,9 +138,9 @@ export const KEYS = {
 const screen = $("screen");
 screen.onpointerdown = (event) => {
   if (event.target.closest("#closer, #farther, #zoom") || event.button === 2) return;
-  const ready = state.mode === "labels" && !player.playing && player.shown?.index === player.wanted && event.button === 0 && inExtent();
-  const at = pointAt(event), reach = REACH / view.scale;
-  const grabbed = ready ? tool().grab(at, reach) : null;
+  state.cross = null;
+  const draws = ready() && event.button === 0 && inExtent(), at = pointAt(event);
+  const grabbed = draws ? tool().grab(at, REACH / view.scale) : null;
   let [x, y] = [event.clientX, event.clientY], far = false;
   screen.setPointerCapture(event.pointerId);
   screen.onpointermove = (now) => {
@@ -128,15 +153,12 @@ screen.onpointerdown = (event) => {
   const over = (now) => {
     screen.onpointermove = screen.onpointerup = screen.onpointercancel = null;
     if (far) labels.settle();
-    else if (ready && now.type === "pointerup") {
-      if (grabbed !== null) tool().tap(grabbed, inside(at), reach);
-      else if (within(at)) tool().click(inside(at), reach);
-      draw();
-    } else if (state.mode === "labels" && !inExtent()) say("This frame is not part of the grasp.");
+    else if (draws && now.type === "pointerup") place(grabbed, at);
+    else if (state.mode === "labels" && !inExtent()) say("This frame is not part of the grasp.");
   };
   screen.onpointerup = screen.onpointercancel = (now) => {
     over(now);
-    if (grabbed !== null && STROKES.includes(state.tool)) labels.work("propagate");
+    if (grabbed !== null && STROKES.includes(state.tool)) renew();
   };
 };
 const within = (point) => point.every((value, axis) => value >= 0 && value <= view.size[axis]);
@@ -155,14 +177,22 @@ export function draw() {
   drawPanel(next());
 }
 
-/** Reconstruct again as soon as all is filled in, where that is wished and the mesh has served once. */
-let worked = null, served = false;
+/** Whether to reconstruct again by oneself: where that is wished and the mesh has served once. */
+const again = () => state.labels.result && $("live").checked && $("mesh").value.trim();
+
+/** Fill in again after a stroke, and reconstruct, which fills in, too, once a first result is there. */
+function renew() {
+  if (again()) reconstruct();
+  else labels.work("propagate");
+}
+
+/** Reconstruct again as soon as all is filled in. */
+let worked = null;
 function follow() {
   const job = state.labels?.job, now = job && `${job.what} ${job.state}`;
   const filled = now === "propagate done" && worked?.startsWith("propagate") && worked !== now;
   worked = now;
-  served ||= now === "reconstruct done";
-  if (filled && served && $("live").checked && !$("reconstruct").disabled && $("mesh").value.trim()) reconstruct();
+  if (filled && again() && !$("reconstruct").disabled) reconstruct();
 }
 
 joints.changed = draw;

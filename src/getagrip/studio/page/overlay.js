@@ -80,9 +80,17 @@ function result(frame) {
   });
 }
 
+/** Where the keyboard draws, light on dark. */
+function cross() {
+  if (!state.cross) return [];
+  const [x, y] = state.cross, arm = 14 / view.scale;
+  const d = `M${x - arm} ${y}H${x + arm}M${x} ${y - arm}V${y + arm}`;
+  return ["below", "above"].map((place) => svg("path", { d, class: `cross ${place}` }));
+}
+
 export function drawOverlay() {
   if (!state.labels || !player.shown) return $("layer").replaceChildren();
   const frame = player.shown.index, own = state.labels.keyframes.get(frame) ?? here();
   if (frame !== player.wanted) return undefined; // the next frame is on its way
-  return $("layer").replaceChildren(...(shown ? drafts(frame, own) : []), ...result(frame), ...outlines(own), ...joints(frame, own));
+  return $("layer").replaceChildren(...(shown ? drafts(frame, own) : []), ...result(frame), ...outlines(own), ...joints(frame, own), ...cross());
 }

@@ -47,7 +47,7 @@ function nextStep(joint) {
   if (state.tool === "joints" && Object.keys(own.joints).length && joint !== null) return `Click the ${NAMES[joint].toLowerCase()}; x where it cannot be located.`;
   const painted = found ? nextStroke(outlined.length) : null;
   if (painted) return painted;
-  if (busy()) return { files: "Writing the files …", reconstruct: "Reconstructing: this takes a minute or two …", candidate: "Taking the candidate …" }[job.what] ?? "Filling in …";
+  if (busy()) return { files: "Writing the files …", reconstruct: "Reconstructing. Step through the frames meanwhile (→): a stroke where something is off is taken at once.", candidate: "Taking the candidate …" }[job.what] ?? "Filling in …";
   if (!withJoints.length && !found) return "Go to the first frame, or one near it that shows the hand well, and click the joints in the order of the picture below. The mouse wheel brings it closer.";
   const few = withJoints.find((one) => clicked(one) < fewest);
   if (few) return `A frame needs ${fewest} joints at least: click some more on frame ${few.number}, or delete them.`;
@@ -95,7 +95,8 @@ function drawWork() {
   const { job, basis, drafts, keyframes, extent: [first, last] } = state.labels, running = busy();
   const own = [...keyframes.values()].filter((one) => within(one.frame)), hand = state.labels.found || own.some(clicked), masks = own.some((one) => one.outlined);
   $("fill").disabled = running || !(masks || hand);
-  $("write").disabled = $("reconstruct").disabled = running || !(masks && hand);
+  $("write").disabled = running || !(masks && hand);
+  $("reconstruct").disabled = (running && job.what !== "propagate") || !(masks && hand);
   $("cancel").hidden = $("progress-bar").hidden = !running;
   $("progress-bar").max = job?.total || 1;
   $("progress-bar").value = job?.done ?? 0;
@@ -150,7 +151,8 @@ function drawVerdict(result, asked) {
   $("guessed").title = topics.map(([topic, text]) => `${topic}: ${text}`).join("\n");
   $("show-result").checked = results.isShown();
   drawCandidates(result, job);
-  $("outdated").hidden = result.current;
+  $("outdated").hidden = result.current && !result.first;
+  $("outdated").textContent = !result.current ? "Of earlier labels: reconstruct again." : busy() ? "A first result, of the masks of a few frames: it is made again when all are filled in." : "A first result, of the masks of a few frames: reconstruct again for that of all.";
   $("findings").hidden = !findings.length;
   $("findings").firstElementChild.textContent = `${many(findings.length, "finding")}${serious ? `, ${serious} serious` : ""}`;
   const rows = findings.map(({ message, serious: worse, steps }) => element("li", { className: worse ? "serious" : "" }, message, element("span", { className: "buttons" }, ...buttons(steps))));

@@ -1,6 +1,6 @@
 // What belongs to the grasp that is labelled, beside its labels: mesh, size, frame and tool. The server keeps them.
 
-import { $, invited, on, player, saving, state } from "./app.js";
+import { $, element, invited, on, player, post, saving, state } from "./app.js";
 import { fresh } from "./saving.js";
 
 const asked = invited ? Object.fromEntries(new URLSearchParams(location.hash.slice(1))) : {}; // before a clip's name is in the address
@@ -14,6 +14,7 @@ export function fill(settings, category) {
   const known = settings.mesh === undefined ? { mesh: asked.mesh || category, size_mm: asked["size-mm"] } : settings;
   $("mesh").value = known.mesh ?? "";
   $("size-mm").value = known.size_mm ?? "";
+  checkShape();
   sent = { frame: settings.frame, tool: settings.tool };
 }
 
@@ -23,7 +24,28 @@ export function shape() {
   return { mesh: $("mesh").value.trim(), size_mm: size ? Number(size) : null };
 }
 
+let checked = ""; // the mesh and size that were asked about last
+
+/** Say at the fields what is wrong with the mesh, and odd about its size, before anything is made of them. */
+async function checkShape() {
+  const now = shape(), asked = checked = JSON.stringify(now);
+  const said = now.mesh ? await post("/api/shape", now).catch((error) => ({ mesh: error.message })) : {};
+  if (asked !== checked) return;
+  for (const [id, text] of [["mesh-said", said.mesh], ["size-said", said.size_mm]]) Object.assign($(id), { textContent: text, hidden: !text });
+  $("mesh").ariaInvalid = String(Boolean(said.mesh));
+}
+
+/** The kinds, for the field's own list and, with pictures, to be clicked. */
+function drawKinds() {
+  $("kinds").replaceChildren(...state.kinds.map((value) => element("option", { value })));
+  $("kind-list").replaceChildren(...state.kinds.map((kind) => {
+    const act = () => { $("mesh").value = kind; keepShape(); };
+    return element("button", { onclick: act }, element("img", { src: `/kind.png?kind=${kind}`, alt: "", loading: "lazy" }), kind.replaceAll("_", " "));
+  }));
+}
+
 function keepShape() {
+  checkShape();
   if (state.labels) saving.add("/api/set", { ...state.labels.about, change: fresh(), set: shape() });
 }
 
@@ -43,6 +65,8 @@ function later() {
 }
 
 for (const id of ["mesh", "size-mm"]) $(id).onchange = keepShape;
+$("kind-pictures").ontoggle = drawKinds;
+$("mesh").onfocus = drawKinds;
 on("shown", later);
 on("tool", later);
 addEventListener("pagehide", keepPlace);

@@ -21,8 +21,8 @@ function lay(now) {
 on("labels", () => state.labels && lay(state.labels.state));
 
 export async function overview() {
-  const { project, tasks, categories, reasons, last } = await ask("/api/tasks", { annotator: state.annotator });
-  Object.assign(state, { tasks, categories, reasons, last });
+  const { project, tasks, categories, reasons, kinds, last } = await ask("/api/tasks", { annotator: state.annotator });
+  Object.assign(state, { tasks, categories, reasons, kinds, last });
   saving.project = project;
   drawTasks();
 }

@@ -31,9 +31,9 @@ from getagrip.provenance import Source, assumed, estimated, provenance_to_arrays
 from getagrip.studio.hands.detect_hands import HandDetectionFiles
 from getagrip.studio.hands.relift_hands import LabelMaps, write_relifted_hands
 from getagrip.studio.hands.stabilize_hands import stabilize_hands
-from getagrip.studio.jobs import NewClipCall
+from getagrip.studio.jobs import NewClipCall, return_freed_memory
 from getagrip.studio.masks.filled_maps import NOTHING_FILLED, FilledFrames, propagate_missing
-from getagrip.studio.masks.propagate_clip import no_hand_mask
+from getagrip.studio.masks.propagate_clip import no_hand_mask, propagate_sparsely
 from getagrip.studio.masks.stroke_prompt import keyframe_label_maps
 from getagrip.studio.masks.uncertain_pixels import UncertainPixels
 from getagrip.studio.store.history import RefusedError
@@ -113,6 +113,7 @@ def write_labelled_clip_files(
     found: HandDetectionFiles | None = None,
     name: Callable[[int], str] = lambda n: f"{n + 1:06d}",
     filled: FilledFrames = NOTHING_FILLED,
+    sparse: int | None = None,
 ) -> ClipFiles:
     """Write ``out/hand.npz`` and ``out/masks/<name>.png``, whose values are ``OBJECT_LABEL`` and so on.
 
@@ -122,7 +123,8 @@ def write_labelled_clip_files(
 
     ``image`` returns the footage's frames, from 0, and ``name`` their names in a clip. If the lens is a guess or not
     set, the files note that depth and size are guesses, too. Masks that are ``filled`` in already are not propagated
-    again. ``done`` is called with the number of frames that are done.
+    again. With ``sparse`` about as many frames get masks, sooner (``propagate_sparsely``). ``done`` is called with the
+    number of masks that are done.
     Raises ``UsageError`` for insufficient labels, for names without a unique number, and if ``out`` exists without
     ``overwrite`` or holds other files.
     """
@@ -138,7 +140,11 @@ def write_labelled_clip_files(
         (new / "masks").mkdir()
         drawn, maps = keyframe_label_maps(labels, image, seen), LabelMaps(labels.size)
         uncertain = UncertainPixels.of_keys(drawn, image, seen, {} if found is None else found.joints)
-        for n, mask, sure in propagate_missing(image, drawn, labels.first, labels.last, filled, seen):
+        if sparse is None:
+            made = propagate_missing(image, drawn, labels.first, labels.last, filled, seen)
+        else:
+            made = propagate_sparsely(image, drawn, labels.first, labels.last, sparse, seen)
+        for n, mask, sure in made:
             if hands is None:
                 whole = _occlude_hand_border(mask)
                 whole[uncertain.find(n, whole, image(n))] = OCCLUDER_LABEL
@@ -150,6 +156,7 @@ def write_labelled_clip_files(
                 write_image(new / "masks" / f"{name(n)}.png", whole)
             confidence[n] = sure
             done(len(confidence))
+        return_freed_memory()  # of the images, before the hands take theirs
         if hands is not None:
             write_hand(hands.hand, new / "hand.npz", _hand_file_fields(labels, hands, K, camera, numbers))
         elif found is not None:

@@ -58,7 +58,8 @@ def _is_outcome(value: object) -> bool:
     kinds = {"of": str, "mesh": str, "size_mm": int | float | None, "said": str}
     return (
         isinstance(value, dict)
-        and value.keys() == kinds.keys()
+        and kinds.keys() == value.keys() - {"first"}
+        and isinstance(value.get("first", False), bool)
         and all(isinstance(value[key], kind) for key, kind in kinds.items())
     )
 

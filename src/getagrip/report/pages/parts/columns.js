@@ -37,9 +37,9 @@ class Footage {
     }
   }
 
-  show({ picture, outlines }) {
-    this.part(".picture").hidden = false;
-    this.part(".picture").src = `data:image/jpeg;base64,${picture}`;
+  show({ picture, place, outlines }) {
+    this.part(".picture").setAttribute("href", `data:image/jpeg;base64,${picture}`);
+    ["x", "y", "width", "height"].forEach((name, k) => this.part(".picture").setAttribute(name, place[k]));
     for (const [name, group] of Object.entries(this.paths)) {
       for (const path of group.children) path.setAttribute("d", outlines[name] || "");
     }
@@ -101,7 +101,7 @@ class Column {
     button.title = "look from this camera";
     button.onclick = () => eye.choose(`view ${k}`);
     button.style.setProperty("--key", cameraColour(k + 1));
-    figure.querySelector("img").alt = `the image of ${name}`;
+    figure.querySelector("svg").setAttribute("aria-label", `the image of ${name}`);
     this.part(".views").append(figure);
     this.part(".views").hidden = false;
     return { footage: new Footage(figure, size, colours), met: figure.querySelector(".met") };

@@ -45,7 +45,8 @@ class Embedded {
   /** A frame with one of the candidates; how near the surfaces are is known of the result alone. */
   async frame(rank, n) {
     const { views, ...own } = this.column.pictures[n];
-    const shown = ({ picture, outlines, others, met }) => (rank === 0 ? { picture, outlines, met } : { picture, outlines: { ...outlines, object: others[rank - 1] } });
+    const shown = ({ picture, place, outlines, others, met }) =>
+      rank === 0 ? { picture, place, outlines, met } : { picture, place, outlines: { ...outlines, object: others[rank - 1] } };
     const names = MOVING.filter((name) => this.arrays[name] && (rank === 0 || !name.endsWith("_near")));
     return {
       ...shown(own),
