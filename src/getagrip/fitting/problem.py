@@ -232,6 +232,11 @@ class Problem:
         return {level: HandContacts.of(self.clip.hand, count) for level, count in N_REGION_CONTACTS.items()}
 
     @property
+    def handle(self) -> Float[ndarray, "P 3"] | None:
+        """Points of the handle's middle line, as the surface's; None without a handle, and where it is left out."""
+        return None if "handle" in self.options.without else self.surface.handle
+
+    @property
     def input_masks(self) -> Masks:
         """The clip's masks as they were read."""
         masks = masks_in_memory(self.clip)

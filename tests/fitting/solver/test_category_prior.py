@@ -102,6 +102,9 @@ def test_starts_have_the_handle_within_the_fingers(side: Side) -> None:
     np.testing.assert_array_equal(poses.log_scale, initial.log_scale[0])
     measured = replace(problem, clip=replace(problem.clip, scale="known"))
     assert len(handle_poses(measured, initial).R) == 0
+    left_out = replace(problem, options=Options(without=("handle",)))
+    assert len(handle_poses(left_out, initial).R) == 0
+    assert not handle_energy(left_out)(256, np.arange(len(problem.clip)))
 
 
 def in_camera(problem: Problem, poses: Fixed) -> tuple[PosesInCamera, np.ndarray]:
