@@ -33,7 +33,7 @@ from getagrip.fitting.motion import Motion, PosesInHand
 from getagrip.fitting.options import FREE_SCALE_START_FACTOR, Options
 from getagrip.fitting.solver import initial_poses
 from getagrip.geometry import se3
-from getagrip.geometry.handles import find_handle
+from getagrip.geometry.handles import find_handle, spread_along
 from getagrip.geometry.kernels.closest import FaceGrid
 from getagrip.geometry.mesh import Mesh, decimate
 from getagrip.geometry.warp import Warp
@@ -233,8 +233,14 @@ class Problem:
 
     @property
     def handle(self) -> Float[ndarray, "P 3"] | None:
-        """Points of the handle's middle line, as the surface's; None without a handle, and where it is left out."""
-        return None if "handle" in self.options.without else self.surface.handle
+        """Points of the handle's middle line about the centre of the mesh [m], as the clip marks it or as it is found.
+
+        None without a handle, and where the options leave it out.
+        """
+        marked, mesh = self.clip.handle, self.clip.mesh
+        if "handle" in self.options.without or (marked is not None and not len(marked)):
+            return None
+        return self.surface.handle if marked is None else spread_along(marked, mesh.diameter) - mesh.centre
 
     @property
     def input_masks(self) -> Masks:
