@@ -13,8 +13,8 @@ from getagrip.batch.engine import Engine
 from getagrip.batch.job import Outcome, failed_outcome, lost_outcome
 from getagrip.batch.ledger import Ledger, LedgerEntry, State, ledger_folder
 from getagrip.batch.scheduling import DEFAULT_SCHEDULING, SchedulingOptions
+from getagrip.checks.intrinsics import camera_warning
 from getagrip.clip import Clip, write_clip
-from getagrip.clip.intrinsics import camera_warning
 from getagrip.clip.read import read_header
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files, plugins

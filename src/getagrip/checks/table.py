@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from getagrip.checks import inputs, results
+from getagrip.checks import inputs, intrinsics, results
 from getagrip.checks.check import Check, format_diameter_share, format_millimetres, format_percent
 from getagrip.checks.evidence import Evidence
-from getagrip.clip import intrinsics, modalities
+from getagrip.clip import modalities
 from getagrip.io.plugins import PluginTable
 
 MIN_MEAN_IOU = 0.5

@@ -62,7 +62,7 @@ class Annotate(Command):
         Returns 1 if the files of a grasp could not be made, else 0. Raises ``InputError`` for a malformed source or
         database, ``UsageError`` for a ``port`` in use; the default is a free one.
         """
-        from getagrip.clip.intrinsics import compute_intrinsics
+        from getagrip.checks.intrinsics import compute_intrinsics
         from getagrip.studio.project import Project
         from getagrip.studio.store.export_all import write_labelled_grasps, write_mark_files
         from getagrip.studio.store.history import RefusedError

@@ -16,10 +16,10 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
+from getagrip.checks.intrinsics import camera_warning
 from getagrip.cli.command import WARNING_EXIT_STATUS, Command, FirstNumber, Labels, for_each_clip, refuse_existing
 from getagrip.clip import Segment, read
 from getagrip.clip.depth import DEPTH_KEY, check_depth_shape
-from getagrip.clip.intrinsics import camera_warning
 from getagrip.clip.match_frames import check_frame_numbers, matching_names, renumber_frames, stem_of
 from getagrip.clip.read import STATED_BY_USER, ClipHeader, SegmentList, parse_world, read_header
 from getagrip.clip.read_arrays import check_intrinsics

@@ -16,9 +16,9 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
+from getagrip.checks.intrinsics import camera_warning, compute_intrinsics
 from getagrip.cli.command import WARNING_EXIT_STATUS, Command, FirstNumber, OptionalSide, refuse_existing
 from getagrip.cli.import_files import NumberedFrames, import_many
-from getagrip.clip.intrinsics import camera_warning, compute_intrinsics
 from getagrip.clip.match_frames import check_frame_numbers, number_of
 from getagrip.clip.read import ClipHeader, read_header
 from getagrip.clip.read_arrays import OTHER_HAND_FILE, check_in_view, check_intrinsics, frames_with_hand, read_hand

@@ -487,7 +487,7 @@ def _check_written_clip(made: Path, masks: bool, out: Path) -> None:
 
 def _print_new_clip(clip: Clip, new: NewClip, hands: TrackedHands | None, out: Path) -> int:
     """Print the clip, its assumptions and missing inputs; return 3 with missing inputs or warnings, else 0."""
-    from getagrip.clip.intrinsics import camera_warning
+    from getagrip.checks.intrinsics import camera_warning
     from getagrip.provenance import is_assumed
 
     print(f"{out}: {len(clip)} frames")

@@ -61,6 +61,8 @@ EXR_BLOCK_LINES = {0: 1, 2: 1, 3: 16}
 EXR_DTYPES: dict[int, np.dtype[np.floating]] = {1: np.dtype("<f2"), 2: np.dtype("<f4")}
 MAX_EXR_BLOCK_BYTES, MAX_EXR_BYTES = 32 * 2**20, 2**30
 """Limits of a block with all channels, and of all blocks, unpacked."""
+VIEW_FILE = "view.json"
+"""The description of a further view, in its folder (``clip.views``)."""
 EXR_DEPTH_CHANNELS = ("Z", "Y", "depth", "depth.Z", "R")
 """Names of the depth channel, the first found counts; else the file's first channel."""
 
@@ -145,6 +147,11 @@ class Depth(ArrayData):
         return found
 
 
+def description_file(folder: Path) -> Path:
+    """Return the file that describes the folder of a clip or of one of its views."""
+    return folder / (VIEW_FILE if os.path.lexists(folder / VIEW_FILE) else "clip.json")
+
+
 def read_depth(clip: Clip) -> Depth | None:
     """Read the depth around hand and object in a clip's frames, an image at a time; None if its folder has none.
 
@@ -153,13 +160,13 @@ def read_depth(clip: Clip) -> Depth | None:
     """
     if clip.folder is None:
         return None
-    if not os.path.lexists(clip.folder / DEPTH_KEY):
-        about = clip.folder / "clip.json"  # missing in a clip that is being made
+    about = description_file(clip.folder)
+    if not os.path.lexists(clip.folder / DEPTH_KEY):  # missing in a clip that is being made
         if about.is_file() and DEPTH_KEY in files.read_json(about):
             expected = f"the description of a folder {DEPTH_KEY}, or left out"
             raise InputError(about, DEPTH_KEY, "no such folder", expected)
         return None
-    source = read_depth_source(clip.folder / "clip.json")
+    source = read_depth_source(about)
     names = [depth_file(clip.folder, frame) for frame in clip.frames]
     paths = [None if name is None else files.inside(clip.folder, name, "", EXPECTED_DEPTH_IMAGE) for name in names]
     first = next((path for path in paths if path is not None), None)
@@ -178,7 +185,7 @@ def read_depth(clip: Clip) -> Depth | None:
     if source.scale == "metric" and np.median(known) > MAX_METRIC_DEPTH_M:
         got = f"a median of {np.median(known):.4g} m about hand and object"
         expected = f"at most {MAX_METRIC_DEPTH_M:g} m: are these millimetres?"
-        raise InputError(clip.folder / "clip.json", f"{DEPTH_KEY}.unit", got, expected)
+        raise InputError(about, f"{DEPTH_KEY}.unit", got, expected)
     return depth
 
 
@@ -189,7 +196,7 @@ def sensor_images(clip: Clip) -> Iterator[tuple[int, tuple[Float[ndarray, "h w"]
     """
     if clip.folder is None or not os.path.lexists(clip.folder / DEPTH_KEY):
         return
-    source = read_depth_source(clip.folder / "clip.json")
+    source = read_depth_source(description_file(clip.folder))
     if (source.scale, source.source) != ("metric", "sensor"):
         return
     for n, frame in enumerate(clip.frames):
@@ -200,11 +207,11 @@ def sensor_images(clip: Clip) -> Iterator[tuple[int, tuple[Float[ndarray, "h w"]
 
 
 def write_clip_depth(clip: Clip, depth: Depth, folder: Path) -> None:
-    """Write the depth of a clip into its new folder, and its description into the ``clip.json`` of that folder.
+    """Write the depth of a clip into its new folder, and its description into the JSON file of that folder.
 
     Images in the clip's own folder are copied; samples in memory become images with these pixels alone.
     """
-    fields, path = depth_source_fields(depth.source), folder / "clip.json"
+    fields, path = depth_source_fields(depth.source), description_file(folder)
     target = files.folder_inside(folder, DEPTH_KEY)
     for n, frame in enumerate(clip.frames):
         name = None if clip.folder is None else depth_file(clip.folder, frame)
@@ -270,7 +277,7 @@ def sample_window(image: Float[ndarray, "h w"], corner: Int[ndarray, "2"], strid
 
 
 def read_depth_source(path: Path) -> DepthSource:
-    """Read the description of depth images in a ``clip.json``. Raises ``InputError``."""
+    """Read the description of depth images in the JSON file of a clip or a view. Raises ``InputError``."""
     stored = files.read_json(path).get(DEPTH_KEY)
     if not isinstance(stored, dict):
         raise InputError(path, DEPTH_KEY, shorten_value(stored), "an object: what the images in the folder depth are")

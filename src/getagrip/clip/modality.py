@@ -63,6 +63,7 @@ BUILTIN_MODALITIES: Mapping[str, Modality[PerFrame] | str] = {
     "joints-2d": "getagrip.fitting.evidence.joints_2d:HandJoints2D",
     "depth": "getagrip.fitting.evidence.depth_images:DepthImages",
     "texture": "getagrip.fitting.evidence.texture:Texture",
+    "views": "getagrip.fitting.evidence.views:FurtherViews",
 }
 MODALITIES = PluginTable(
     "modalities",

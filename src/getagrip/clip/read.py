@@ -70,7 +70,7 @@ def parse_intrinsics(
     path: Path, camera: dict[str, object], frames: int, size: tuple[int, int]
 ) -> Float[ndarray, "T 3 3"]:
     """Parse the pinhole intrinsics of each frame [px]. Raises ``InputError``."""
-    K = _parse_matrices(path, "camera.K", camera["K"], 3, frames)
+    K = parse_matrices(path, "camera.K", camera["K"], 3, frames)
     check_intrinsics(path, K, size)
     return K
 
@@ -91,7 +91,7 @@ def parse_world(path: Path, camera: dict[str, object], frames: tuple[str, ...]) 
         if up is not None:
             raise InputError(path, "camera.world_up", "it", "none without camera.T_world_cam, whose world it is in")
         return None
-    T = _parse_matrices(path, "camera.T_world_cam", camera["T_world_cam"], 4, len(frames))
+    T = parse_matrices(path, "camera.T_world_cam", camera["T_world_cam"], 4, len(frames))
     check_camera_poses(path, T, frames)
     return World(T, up, None if support is None else float(support))
 
@@ -117,7 +117,7 @@ def parse_times(path: Path, value: object, frames: tuple[str, ...]) -> Float[nda
     return values
 
 
-def _parse_matrices(path: Path, key: str, value: object, rows: int, frames: int) -> Float[ndarray, "T rows rows"]:
+def parse_matrices(path: Path, key: str, value: object, rows: int, frames: int) -> Float[ndarray, "T rows rows"]:
     """Parse a square matrix of finite numbers for each frame, or one for all frames."""
     values = _numbers_to_array(value)
     if values.shape[-2:] != (rows, rows) or values.ndim not in (2, 3):
@@ -180,7 +180,7 @@ def read_clip(folder: str | Path) -> Clip:
     path = folder / "clip.json"
     fields = _read_clip_fields(folder)
     frames = parse_frame_names(path, fields["frames"])
-    size = _parse_image_size(path, fields["size"])
+    size = parse_image_size(path, fields["size"])
     mesh = read_mesh(_mesh_path(folder, fields))
     hand_path = files.inside(folder, "hand.npz", "", EXPECTED_HAND_FILE)
     rows = frames_with_hand(hand_path, frames)
@@ -244,7 +244,7 @@ def read_header(folder: str | Path) -> ClipHeader:
     """Read the header of a clip, which may still lack its hands. Raises ``InputError``."""
     folder = _resolve_clip_folder(folder)
     fields, path = _read_clip_fields(folder), folder / "clip.json"
-    frames, size = parse_frame_names(path, fields["frames"]), _parse_image_size(path, fields["size"])
+    frames, size = parse_frame_names(path, fields["frames"]), parse_image_size(path, fields["size"])
     if "times" in fields:
         parse_times(path, fields["times"], frames)
     where = parse_world(path, fields["camera"], frames)
@@ -333,7 +333,7 @@ def _is_float_number(value: object) -> bool:
     return abs(value) < 1e300 and math.isfinite(value)
 
 
-def _parse_image_size(path: Path, size: object) -> tuple[int, int]:
+def parse_image_size(path: Path, size: object) -> tuple[int, int]:
     """Parse width and height [px]."""
     sides = size if isinstance(size, list) else []
     if len(sides) != 2 or not all(type(side) is int and 0 < side <= MAX_CLIP_SIDE_PX for side in sides):

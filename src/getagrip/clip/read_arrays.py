@@ -151,24 +151,29 @@ def check_times(path: Path, times: Float[ndarray, "T"], frames: Sequence[str]) -
         raise InputError(path, "times", bad, f"at most {MAX_CLIP_DURATION_S:g} s; are these nanoseconds?")
 
 
-def check_camera_poses(path: Path, T_world_cam: Float[ndarray, "T 4 4"], frames: Sequence[str]) -> None:
-    """Raise ``InputError`` for camera poses that are not rigid, or too far from the origin or the first one."""
+def check_camera_poses(
+    path: Path, T_world_cam: Float[ndarray, "T 4 4"], frames: Sequence[str], key: str = "camera.T_world_cam"
+) -> None:
+    """Raise ``InputError`` for camera poses that are not rigid, or too far from the origin or the first one.
+
+    ``key`` names them in errors.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         rigid = se3.is_rigid(T_world_cam)
         apart = np.linalg.norm(T_world_cam[:, :3, 3] - T_world_cam[0, :3, 3], axis=1)
     if not rigid.all():
         bad = f"a matrix that is no rigid motion in frame {shorten_value(frames[int(np.argmin(rigid))])}"
-        raise InputError(path, "camera.T_world_cam", bad, "rotations and translations [m], the last row 0 0 0 1")
+        raise InputError(path, key, bad, "rotations and translations [m], the last row 0 0 0 1")
     far = np.abs(T_world_cam[:, :3, 3]).max(axis=1)
     if not far.max() <= MAX_WORLD_DISTANCE_M:
         n = int(np.argmax(far))
         got = f"a camera {far[n]:.4g} m from the world's origin in frame {shorten_value(frames[n])}"
         expected = f"at most {MAX_WORLD_DISTANCE_M:g} m; subtract its first place from all, in metres"
-        raise InputError(path, "camera.T_world_cam", got, expected)
+        raise InputError(path, key, got, expected)
     if not apart.max() <= MAX_CAMERA_TRAVEL_M:
         n = int(np.argmax(apart))
         got = f"a camera {apart[n]:.4g} m from its first place in frame {shorten_value(frames[n])}"
-        raise InputError(path, "camera.T_world_cam", got, f"at most {MAX_CAMERA_TRAVEL_M:g} m; are these millimetres?")
+        raise InputError(path, key, got, f"at most {MAX_CAMERA_TRAVEL_M:g} m; are these millimetres?")
 
 
 def check_poses(
@@ -255,14 +260,14 @@ def read_hand(path: Path, frames: int) -> HandTrack:
     faces = arrays.indices(path, stored, "faces", vertices.shape[1], (-1, 3))
     T_cam_hand = arrays.floats(path, stored, "T_cam_hand", (frames, 4, 4))
     joints = arrays.floats(path, stored, "joints", (frames, 21, 3)) if "joints" in stored else None
-    seen = _parse_joints_2d(path, stored, frames) if "joints_2d" in stored else (None, None)
+    seen = parse_joints_2d(path, stored, frames) if "joints_2d" in stored else (None, None)
     regions = _parse_contact_regions(path, stored, vertices.shape[1])
     hand = HandTrack(vertices, faces, T_cam_hand, regions, joints, *seen)
     check_hand(path, hand)
     return hand
 
 
-def _parse_joints_2d(
+def parse_joints_2d(
     path: Path, stored: dict[str, ndarray], frames: int
 ) -> tuple[Float[ndarray, "T 21 2"], Float[ndarray, "T 21"]]:
     """Parse joints in the images [px], and their confidence, by default 1."""

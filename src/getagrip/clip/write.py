@@ -102,9 +102,9 @@ def missing_hand_provenance(frames: Sequence[str], rows: Sequence[int]) -> dict[
 
 
 def _clip_json_fields(clip: Clip) -> dict[str, object]:
-    camera: dict[str, object] = {"K": _collapse_constant(clip.K)}
+    camera: dict[str, object] = {"K": collapse_constant(clip.K)}
     if clip.world is not None:
-        camera["T_world_cam"] = _collapse_constant(clip.world.T_world_cam)
+        camera["T_world_cam"] = collapse_constant(clip.world.T_world_cam)
         camera |= {} if clip.world.up is None else {"world_up": clip.world.up}
         camera |= {} if clip.world.support is None else {"world_support": clip.world.support}
     return {
@@ -130,7 +130,7 @@ def _mesh_file(clip: Clip) -> str:
     return "object.obj" if clip.mesh.colours is None else "object.ply"
 
 
-def _collapse_constant(matrices: Float[ndarray, "T n n"]) -> Float[ndarray, "..."]:
+def collapse_constant(matrices: Float[ndarray, "T n n"]) -> Float[ndarray, "..."]:
     """Return one matrix if those of all frames are equal; else all."""
     return matrices[0] if np.array_equal(matrices, np.broadcast_to(matrices[:1], matrices.shape)) else matrices
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.checks.evidence import TextureVote
@@ -24,6 +24,7 @@ from getagrip.clip import (
     with_masks,
 )
 from getagrip.clip.masks import occluded_by_hand
+from getagrip.clip.views import View, clip_in_view, views_of
 from getagrip.fitting.energy import Energy, Terms
 from getagrip.fitting.energy.contact import CONTACT_GRID_MARGIN_M, HandContacts, build_contact_grid, rms_distances
 from getagrip.fitting.energy.mask import GAP_SHARE, Observation, SilhouetteMesh, masks_leave_gaps, observe_masks
@@ -187,6 +188,57 @@ class Trust:
 
 
 @dataclass(frozen=True)
+class ObservedView:
+    """A further view of a problem's frames.
+
+    Attributes:
+        view: the view, at the problem's frames.
+        rows: (n,) indices of the frames in which its mask shows the object.
+        masks: its masks in these frames; they may also ignore pixels that the rendered hand covers.
+        observation: its masks as crops, with contours.
+        refinement: the refinement of an estimated hand, as this view sees it; None of a measured or unrefined hand.
+    """
+
+    view: View
+    rows: Int[ndarray, "n"]
+    masks: Masks
+    observation: Observation
+    refinement: HandRefinement | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the view."""
+        return self.view.name
+
+    @property
+    def T_view_cam(self) -> Float[ndarray, "n 4 4"]:
+        """Poses of the clip's camera in the view's camera frame, in the frames ``rows``."""
+        return self.view.T_view_cam[self.rows]
+
+    def clip(self, clip: Clip) -> Clip:
+        """Return the problem's clip as the view sees it, in the frames ``rows``."""
+        return clip_in_view(clip.take(self.rows), self.view.take(self.rows))
+
+
+def observe_views(
+    clip: Clip, options: Options, gap_share: float, refinement: HandRefinement | None = None
+) -> tuple[ObservedView, ...]:
+    """Crop the masks of the further views of a clip at a problem's frames, where they show the object."""
+    found = []
+    for view in () if options.as_published else views_of(clip):
+        rows = np.flatnonzero(view.masks.observed)
+        if not len(rows):
+            continue
+        seen, masks = clip_in_view(clip.take(rows), view.take(rows)), view.masks.take(rows)
+        if options.occlusion and not masks.say_what_hides:
+            masks = occluded_by_hand(seen, masks)
+        observation = observe_masks(masks, view.K[rows], options.occlusion, gap_share)
+        of_hand = refinement and refinement.in_view(view, rows)
+        found.append(ObservedView(view, rows, masks, observation, of_hand))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
 class Problem:
     """A clip at the frames that are used.
 
@@ -203,6 +255,7 @@ class Problem:
         trust: the trust in these inputs.
         refinement: the refinement of an estimated hand, in the problem's frames, which is then solved with the object;
             None of a measured or unrefined hand.
+        views: what further cameras show.
     """
 
     clip: Clip
@@ -215,6 +268,7 @@ class Problem:
     threads: int = 1
     trust: Trust = Trust()
     refinement: HandRefinement | None = None
+    views: tuple[ObservedView, ...] = ()
 
     @property
     def inits(self) -> int:
@@ -230,6 +284,13 @@ class Problem:
     def contacts(self) -> dict[int, HandContacts]:
         """The hand's contacts, at each level."""
         return {level: HandContacts.of(self.clip.hand, count) for level, count in N_REGION_CONTACTS.items()}
+
+    def in_view(self, view: ObservedView) -> Problem:
+        """Return the problem as one of its further views shows it, in that view's frames."""
+        return replace(
+            self, clip=view.clip(self.clip), masks=view.masks, observation=view.observation,
+            refinement=view.refinement, views=(),
+        )  # fmt: skip
 
     @property
     def handle(self) -> Float[ndarray, "P 3"] | None:
@@ -264,7 +325,8 @@ class Problem:
         refinement = None
         if self.refinement is not None and {*clip.frames} <= {*self.clip.frames}:
             refinement = self.refinement.take(self.clip.index_of(clip.frames))
-        return replace(self, clip=clip, masks=masks, observation=observation, refinement=refinement)
+        views = observe_views(clip, self.options, gap_share, refinement)
+        return replace(self, clip=clip, masks=masks, observation=observation, refinement=refinement, views=views)
 
     def with_hand_found(self, clip: Clip) -> Clip:
         """Return a clip with the problem's hand in the problem's frames, and an interpolated hand in all others."""
@@ -383,6 +445,7 @@ def _prepare_sampled(
     if observation.has_gaps:
         notes.append("masks leave gaps between the object and its occluders: pixels in gaps do not count")
     lifted = is_assumed(clip.provenance.get("hands_scale")) or clip.hand_scale != 1.0
+    estimated = refinement if refinement is not None and refinement.kind == "estimated" else None
     return Problem(
         clip=clip, masks=masks, observation=observation, surface=surface.result(),
         options=options, prior_poses=initial[0], notes=tuple(notes), threads=threads,
@@ -390,7 +453,8 @@ def _prepare_sampled(
             refinement is not None, differing, hand_drawn, hand_lifted=lifted,
             joints_left_out=refinement is not None and refinement.joints is None and clip.hand.joints_2d is not None,
         ),
-        refinement=refinement if refinement is not None and refinement.kind == "estimated" else None,
+        refinement=estimated,
+        views=observe_views(clip, options, gap_share, estimated),
     )  # fmt: skip
 
 

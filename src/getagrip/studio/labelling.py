@@ -18,7 +18,7 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from getagrip import __version__
-from getagrip.clip.intrinsics import compute_intrinsics
+from getagrip.checks.intrinsics import compute_intrinsics
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.hands.from_2d.clicks import MIN_CLICKED_JOINTS

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
+from getagrip.checks.intrinsics import compute_intrinsics
 from getagrip.clip import read_clip, read_masks
-from getagrip.clip.intrinsics import compute_intrinsics
 from getagrip.errors import UsageError
 from getagrip.fitting.hand.refine_hand import refine_hand
 from getagrip.geometry import se3

@@ -170,7 +170,10 @@ def solve_with_hand(problem: Problem, motion: M, energy_of: EnergyOf) -> tuple[S
 
 def _motion_in_moving_hand(refinement: HandRefinement, motion: M, nat: float) -> MovingHand[M]:
     """Put a motion into the refined hand."""
-    assumed = assumed_errors("estimated", refinement.joints)
+    loose = any(
+        joints is not None and joints.loose for joints in (refinement.joints, *(v.joints for v in refinement.views))
+    )
+    assumed = assumed_errors("estimated", loose, 1 + len(refinement.views))
     bias, jitter, (shared_depth, own_depth) = assumed.bias, assumed.jitter, HAND_DEPTH_SIGMAS_M
     constant = _concatenate_errors(bias, shared_depth, bias[SIZE_ERROR])
     prior = HandPrior.of(

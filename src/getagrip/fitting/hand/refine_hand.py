@@ -31,10 +31,12 @@ from getagrip import least_squares
 from getagrip.checks.evidence import Glitches
 from getagrip.clip import Clip, HandTrack, Masks
 from getagrip.clip.clip import frame_indices
+from getagrip.clip.views import View, clip_in_view, views_of
 from getagrip.fitting.hand.hand_error_model import (
     N_RIGID_ERRORS,
     ROTATION_ERRORS,
     SIZE_ERROR,
+    TRANSLATION_ERRORS,
     AssumedErrors,
     HandErrors,
     HandFit,
@@ -71,6 +73,9 @@ ASSUMED_ERRORS: Mapping[HandsKind, AssumedErrors] = {
 images are measured (docs/datasets.md), but for the size, without which nothing tells the distance."""
 SIZE_SIGMA_WITH_JOINTS = 0.05
 """Standard deviation of the size of an estimated hand with 2D joints; chosen on real ones (docs/trials.md)."""
+SHIFT_SIGMA_WITH_VIEWS_M = 0.02
+"""Standard deviation of the shift of an estimated hand that all frames share, in any direction, where further views
+show its distance [m]; estimates are off by as much along the camera's ray (docs/datasets.md)."""
 MIN_CORRECTED_FRACTION = 0.01
 """Minimum fraction of the hand's visible pixels that a refinement must correct; less is noise of masks."""
 MIN_JOINT_CORRECTION = 0.01, 0.002
@@ -191,6 +196,7 @@ class HandRefinement:
         own: (N, P) the errors of each frame.
         joints: its 2D joints; None where they are unknown.
         kind: the kind of hand whose errors were assumed; a hand declared as measured may prove to be an estimate.
+        views: what further views show of the hand.
     """
 
     T_cam_hand: Float[ndarray, "N 4 4"]
@@ -204,12 +210,24 @@ class HandRefinement:
     own: Float[ndarray, "N P"] = field(repr=False)
     joints: SeenJoints | None = field(repr=False)
     kind: HandsKind
+    views: tuple[HandEvidence, ...] = field(default=(), repr=False)
 
     def take(self, index: Int[ndarray, "n"]) -> HandRefinement:
         """Return the refinement at some of its frames."""
         return replace(
             self, T_cam_hand=self.T_cam_hand[index], seen=self.seen.take(index), own=self.own[index],
-            joints=self.joints and self.joints.take(index),
+            joints=self.joints and self.joints.take(index), views=tuple(view.take(index) for view in self.views),
+        )  # fmt: skip
+
+    def in_view(self, view: View, rows: Int[ndarray, "n"]) -> HandRefinement | None:
+        """Return the refinement in some of its frames as a further view shows the hand, by that view's own evidence."""
+        seen = next((seen for seen in self.views if seen.view == view.name), None)
+        if seen is None or not {*rows} <= {*seen.rows}:
+            return None
+        seen, T = seen.take(rows), view.T_view_cam[rows]
+        return replace(
+            self, T_cam_hand=T @ self.T_cam_hand[rows], own=self.own[rows], seen=seen.silhouette, joints=seen.joints,
+            views=(),
         )  # fmt: skip
 
     @property
@@ -245,13 +263,118 @@ def _apply_finger_errors(errors: HandErrors, x: Float[ndarray, "N P"]) -> HandTr
     return replace(errors.tracked, vertices=vertices, joints=joints)
 
 
-def assumed_errors(kind: HandsKind, joints: SeenJoints | None) -> AssumedErrors:
-    """Return the assumed errors of a kind of hands, with or without 2D joints."""
+@dataclass(frozen=True)
+class HandEvidence:
+    """A view of the hand: its silhouette and, where they are known, its joints.
+
+    Attributes:
+        rows: (n,) the frames that the view shows.
+        view: name of the view; empty: the clip's own.
+    """
+
+    silhouette: HandSilhouette
+    joints: SeenJoints | None
+    rows: Int[ndarray, "n"]
+    view: str = ""
+
+    @staticmethod
+    def of(clip: Clip, masks: Masks) -> list[HandEvidence]:
+        """Collect the evidence of the clip's own view, first, and of all further ones that show the hand."""
+        everywhere = np.arange(len(clip))
+        out = [HandEvidence(HandSilhouette.of(clip, masks), SeenJoints.of(clip, masks), everywhere)]
+        for view in views_of(clip):
+            rows = np.flatnonzero(view.masks.observed)
+            seen, of_view = clip_in_view(clip.take(rows), view.take(rows)), view.masks.take(rows)
+            if len(rows) > 1 and in_front_of_camera(seen):
+                one = HandEvidence(HandSilhouette.of(seen, of_view), SeenJoints.of(seen, of_view), rows, view.name)
+                out += [one] if one.silhouette.mask.pixels or one.joints is not None else []
+        return out
+
+    @property
+    def loose(self) -> bool:
+        """True where joints tell the size of an estimated hand, and its fingers."""
+        return self.joints is not None and self.joints.loose
+
+    def with_fingers(self, sideways: bool) -> HandEvidence:
+        """Return the evidence with fingers that may bend, and turn sideways."""
+        joints = self.joints and replace(self.joints, errors=self.joints.errors.with_fingers(sideways))
+        return replace(self, silhouette=self.silhouette.with_fingers(sideways), joints=joints)
+
+    def with_masks_grown(self) -> HandEvidence:
+        """Grow the masks to the size of the input hand's silhouettes, if they are much too small."""
+        seen = self.silhouette
+        unrefined = np.zeros((len(self.rows), N_RIGID_ERRORS))
+        return replace(self, silhouette=seen.with_masks_grown(unrefined)) if seen.mask.pixels else self
+
+    def take(self, index: Int[ndarray, "n"]) -> HandEvidence:
+        """Return the evidence in some frames, in rising order."""
+        at = np.flatnonzero(np.isin(self.rows, index))
+        joints, rows = self.joints and self.joints.take(at), np.searchsorted(index, self.rows[at])
+        return HandEvidence(self.silhouette.take(at), joints, rows, self.view)
+
+    def __call__(
+        self, x: Float[ndarray, "n P"]
+    ) -> tuple[Float[ndarray, "n"], Float[ndarray, "n P"], Float[ndarray, "n P P"]]:
+        """Sum the differing pixels of each frame and its joints' cost in pixels; with derivatives."""
+        found = self.silhouette(x)
+        if self.joints is None:
+            return found
+        joints = self.joints.rigid if x.shape[1] == N_RIGID_ERRORS else self.joints
+        value, g, H = (a + b / HAND_PIXEL_WEIGHT for a, b in zip(found, joints(x), strict=True))
+        return value, g, H
+
+
+def in_front_of_camera(clip: Clip) -> bool:
+    """Return whether the hand is before the camera in every frame."""
+    return bool((se3.transform(clip.hand.T_cam_hand, clip.hand.vertices)[..., 2] > 0.0).all())
+
+
+@dataclass(frozen=True)
+class _AllViews:
+    """The evidence of all views on the errors of a hand in N frames; errors are the hand's, in whichever view."""
+
+    each: tuple[HandEvidence, ...]
+
+    def take(self, index: Int[ndarray, "n"]) -> _AllViews:
+        return _AllViews(tuple(one.take(index) for one in self.each))
+
+    def without_joints(self) -> _AllViews:
+        return _AllViews(tuple(replace(one, joints=None) for one in self.each))
+
+    def __call__(
+        self, x: Float[ndarray, "N P"]
+    ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
+        value, g, H = self.each[0](x)
+        for one in self.each[1:]:
+            for total, part in zip((value, g, H), one(x[one.rows]), strict=True):
+                total[one.rows] += part
+        return value, g, H
+
+    def share(self, x: Float[ndarray, "N P"]) -> float:
+        """Compute the fraction of the hand's visible pixels that differ from its silhouettes; NaN without any."""
+        pixels = sum(one.silhouette.mask.pixels for one in self.each)
+        return sum(one.silhouette.differing(x[one.rows]) for one in self.each) / pixels if pixels else float("nan")
+
+    @property
+    def has_joints(self) -> bool:
+        return any(one.joints is not None for one in self.each)
+
+    @property
+    def loose(self) -> bool:
+        return any(one.loose for one in self.each)
+
+
+def assumed_errors(kind: HandsKind, loose: bool, views: int = 1) -> AssumedErrors:
+    """Return the assumed errors of a kind of hands.
+
+    ``loose``: 2D joints tell the fingers; ``views``: number of views, of which two show an estimated hand's distance.
+    """
     assumed = ASSUMED_ERRORS[kind]
-    if joints is None or not joints.loose:
-        return assumed
     bias = assumed.bias.copy()
-    bias[SIZE_ERROR] = SIZE_SIGMA_WITH_JOINTS
+    if loose:
+        bias[SIZE_ERROR] = SIZE_SIGMA_WITH_JOINTS
+    if kind == "estimated" and views > 1:
+        bias[TRANSLATION_ERRORS] = SHIFT_SIGMA_WITH_VIEWS_M
     return replace(assumed, bias=bias)
 
 
@@ -263,95 +386,73 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
     hand come from ``masks.hand``, else from the ignored pixels near the input hand. Where the object's masks leave gaps
     the hand's may be too small all round, and are grown first.
     """
-    seen, joints = HandSilhouette.of(clip, masks), SeenJoints.of(clip, masks)
-    if seen.mask.pixels == 0 and joints is None:
+    seen = _AllViews(tuple(HandEvidence.of(clip, masks)))
+    if not any(one.silhouette.mask.pixels for one in seen.each) and not seen.has_joints:
         return None, float("nan")
     unrefined = np.zeros((len(clip), N_RIGID_ERRORS))
     before = seen.share(unrefined)
     if np.isinf(before):  # behind the camera the hand has no silhouette
         return None, 1.0
-    if have_gaps and seen.mask.pixels:
-        seen = seen.with_masks_grown(unrefined)
+    if have_gaps:
+        seen = _AllViews(tuple(one.with_masks_grown() for one in seen.each))
         before = seen.share(unrefined)
     if before < MIN_CORRECTED_FRACTION:
         return None, before
-    seen, kind = seen.with_field, kind_of_hands(clip.provenance)
-    fitted = _FittedHandErrors.to(seen, joints, kind)
+    seen = _AllViews(tuple(replace(one, silhouette=one.silhouette.with_field) for one in seen.each))
+    kind = kind_of_hands(clip.provenance)
+    fitted = _FittedHandErrors.to(seen, kind)
     turned_far = np.linalg.norm(fitted.found.errors[:, ROTATION_ERRORS], axis=1).mean() > MAX_MEASURED_TURN_RAD
     if kind == "measured" and turned_far and not fitted.after > MAX_REMAINING_FRACTION * before:
-        fitted = _FittedHandErrors.to(seen, joints, "estimated")
-    if joints is not None and fitted.after > SUSPECT_JOINTS_FRACTION:
-        by_pixels = _FittedHandErrors.to(seen, None, fitted.kind)
+        fitted = _FittedHandErrors.to(seen, "estimated")
+    if seen.has_joints and fitted.after > SUSPECT_JOINTS_FRACTION:
+        by_pixels = _FittedHandErrors.to(seen.without_joints(), fitted.kind)
         if fitted.after - by_pixels.after > JOINTS_CONTRADICTION_FRACTION:
             fitted = by_pixels
-    found, joints, after = fitted.found, fitted.joints, fitted.after
-    agree = MAX_DIFFERING_WITH_JOINTS if joints is not None and joints.loose else MAX_DIFFERING_FRACTION
-    if after > agree or (before - after < MIN_CORRECTED_FRACTION and joints is None):
+    found, after, own = fitted.found, fitted.after, fitted.seen.each[0]
+    agree = MAX_DIFFERING_WITH_JOINTS if fitted.seen.loose else MAX_DIFFERING_FRACTION
+    if after > agree or (before - after < MIN_CORRECTED_FRACTION and not fitted.seen.has_joints):
         return None, before
-    T, T_input, middle = seen.errors.T_cam_hand(found.errors), clip.hand.T_cam_hand, seen.errors.middle[None]
+    errors, T_input = own.silhouette.errors, clip.hand.T_cam_hand
+    T, middle = errors.T_cam_hand(found.errors), errors.middle[None]
     turned = se3.angle_between(T[:, :3, :3], T_input[:, :3, :3])
     moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_input, middle), axis=-1)
     small = turned.mean() < MIN_JOINT_CORRECTION[0] and moved.mean() < MIN_JOINT_CORRECTION[1]
     if small and not before - after >= MIN_CORRECTED_FRACTION:
         return None, before
-    how = float(turned.mean()), float(moved.mean()), before, after, fitted.silhouette.mask.grown
-    return HandRefinement(T, *how, fitted.silhouette, found.shared, found.own, joints, fitted.kind), after
-
-
-@dataclass(frozen=True)
-class _HandEvidence:
-    """The hand's silhouette and, where they are known, its joints."""
-
-    silhouette: HandSilhouette
-    joints: SeenJoints | None
-
-    @property
-    def with_fingers(self) -> _HandEvidence:
-        loose = self.joints is not None and self.joints.loose
-        return replace(self, silhouette=self.silhouette.with_fingers(sideways=loose))
-
-    def take(self, index: Int[ndarray, "n"]) -> _HandEvidence:
-        return _HandEvidence(self.silhouette.take(index), self.joints and self.joints.take(index))
-
-    def __call__(
-        self, x: Float[ndarray, "N P"]
-    ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
-        """Sum each frame's differing pixels and its joints' cost in pixels; with derivatives."""
-        found = self.silhouette(x)
-        if self.joints is None:
-            return found
-        joints = self.joints.rigid if x.shape[1] == N_RIGID_ERRORS else self.joints
-        value, g, H = (a + b / HAND_PIXEL_WEIGHT for a, b in zip(found, joints(x), strict=True))
-        return value, g, H
+    how = float(turned.mean()), float(moved.mean()), before, after, own.silhouette.mask.grown
+    refined = HandRefinement(
+        T, *how, own.silhouette, found.shared, found.own, own.joints, fitted.kind, fitted.seen.each[1:]
+    )
+    return refined, after
 
 
 @dataclass(frozen=True)
 class _FittedHandErrors:
-    """Fitted errors, the silhouette that they move, and the kind of hand and joints that they were fitted by."""
+    """Fitted errors, the evidence that they meet, and the kind of hand that they were fitted by."""
 
     found: HandFit
-    silhouette: HandSilhouette
+    seen: _AllViews
     kind: HandsKind
-    joints: SeenJoints | None
 
     @staticmethod
-    def to(silhouette: HandSilhouette, joints: SeenJoints | None, kind: HandsKind) -> _FittedHandErrors:
+    def to(seen: _AllViews, kind: HandsKind) -> _FittedHandErrors:
         """Minimise the cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
-        seen, assumed = _HandEvidence(silhouette, joints), assumed_errors(kind, joints)
+        assumed = assumed_errors(kind, seen.loose, len(seen.each))
         rigid, few, all_frames = REFINEMENT_ITERATIONS
-        unrefined = np.zeros((len(silhouette.errors.tracked.T_cam_hand), N_RIGID_ERRORS))
+        unrefined = np.zeros((len(seen.each[0].rows), N_RIGID_ERRORS))
         found = least_squares.minimise(HandFit.of(seen, assumed, unrefined), rigid).state
-        seen = seen.with_fingers
-        if seen.silhouette.errors.weights is None:
-            return _FittedHandErrors(found, silhouette, kind, joints)
-        spare = seen.silhouette.errors.size - N_RIGID_ERRORS
+        bending = _AllViews(tuple(one.with_fingers(seen.loose) for one in seen.each))
+        errors = bending.each[0].silhouette.errors
+        if errors.weights is None:
+            return _FittedHandErrors(found, seen, kind)
+        spare = errors.size - N_RIGID_ERRORS
         shared, own = np.pad(found.shared, (0, spare)), np.pad(found.own, ((0, 0), (0, spare)))
         index = frame_indices(len(own), N_FLEXION_FRAMES)
-        some = least_squares.minimise(HandFit.of(seen.take(index), assumed, own[index], shared), few).state
-        found = least_squares.minimise(HandFit.of(seen, assumed, own, some.shared), all_frames).state
-        return _FittedHandErrors(found, seen.silhouette, kind, joints)
+        some = least_squares.minimise(HandFit.of(bending.take(index), assumed, own[index], shared), few).state
+        found = least_squares.minimise(HandFit.of(bending, assumed, own, some.shared), all_frames).state
+        return _FittedHandErrors(found, bending, kind)
 
     @cached_property
     def after(self) -> float:
         """Fraction of the hand's visible pixels that still differ; NaN without any."""
-        return self.silhouette.share(self.found.errors)
+        return self.seen.share(self.found.errors)

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
-from getagrip.clip.intrinsics import compute_intrinsics
+from getagrip.checks.intrinsics import compute_intrinsics
 from getagrip.clip.match_frames import number_of
 from getagrip.clip.write import write_hand
 from getagrip.errors import UsageError

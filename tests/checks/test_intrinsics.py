@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from getagrip.checks import INPUT_CHECKS, Evidence, run_checks
-from getagrip.clip.intrinsics import camera_warning, compute_intrinsics
+from getagrip.checks.intrinsics import camera_warning, compute_intrinsics
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
 from helpers.clips import small_clip

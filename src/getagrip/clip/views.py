@@ -1,0 +1,269 @@
+"""Views: what further calibrated cameras see of a clip (``views/NAME`` in its folder, docs/formats.md).
+
+A view is a clip of the same hand and object, at another camera (``clip_in_view``): so whatever reads, checks or
+compares the masks, depth and joints of a clip does the same in each of its views. The camera of the clip itself is the
+first one; poses of the other cameras are in its frame.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip.clip.clip import Clip, Masks, OtherHand
+from getagrip.clip.depth import DEPTH_KEY, VIEW_FILE, Depth, depth_file, read_depth, write_clip_depth
+from getagrip.clip.masks import (
+    mask_files,
+    read_available_masks,
+    with_masks,
+    write_masks,
+)
+from getagrip.clip.read import parse_frame_names, parse_image_size, parse_intrinsics, parse_matrices
+from getagrip.clip.read_arrays import check_camera_poses, parse_joints_2d
+from getagrip.clip.write import collapse_constant
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
+from getagrip.io import arrays, files
+from getagrip.io.array_data import ArrayData, check_finite
+from getagrip.provenance import Provenance, parse_provenance
+
+VIEWS_KEY = "views"
+"""Key of ``Clip.evidence``, and the folder of the views in a clip's folder."""
+VIEW_FORMAT_VERSION = 1
+VIEW_KEYS = ("version", "frames", "size", "camera", "time_offset", DEPTH_KEY, "provenance")
+VIEW_CAMERA_KEYS = ("K", "T_cam_view")
+MAX_VIEWS = 64
+MAX_TIME_OFFSET_S = 1.0
+"""Maximum difference between the times of a view's images and the clip's [s]: more is another moment."""
+JOINTS_FILE = "joints.npz"
+"""File of the hand's joints in a view's images."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class View(ArrayData):
+    """A further camera's view of a clip's T frames.
+
+    Attributes:
+        name: name of the view, and of its folder.
+        size: width and height of its images [px].
+        K: (T, 3, 3) pinhole intrinsics of each frame [px].
+        T_cam_view: (T, 4, 4) pose of its camera in the clip's camera frame [m], in each frame.
+        masks: masks of the object and of its occluders; unknown in frames that the view lacks. Hand masks, if known.
+        joints_2d: (T, 21, 2) joints of the hand in its images [px]; None if unknown.
+        joints_2d_confidence: (T, 21) confidence of each joint, from 0 (not detected) to 1.
+        depth: its depth images; None without any.
+        time_offset: time of its images after the clip's [s]; 0 if cameras are in step.
+        folder: its folder; None for a view that is only in memory.
+        provenance: source of its data, by topic.
+    """
+
+    name: str
+    size: tuple[int, int]
+    K: Float[ndarray, "T 3 3"]
+    T_cam_view: Float[ndarray, "T 4 4"]
+    masks: Masks
+    joints_2d: Float[ndarray, "T 21 2"] | None = None
+    joints_2d_confidence: Float[ndarray, "T 21"] | None = None
+    depth: Depth | None = None
+    time_offset: float = 0.0
+    folder: Path | None = None
+    provenance: Provenance = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for key in ("K", "T_cam_view"):
+            check_finite(f"View.{key}", getattr(self, key))
+        if not files.is_portable_name(self.name):
+            raise UsageError(f"View.name must be able to name a folder (got {files.shorten_value(self.name)})")
+        if (self.joints_2d is None) != (self.joints_2d_confidence is None):
+            raise UsageError("View.joints_2d and View.joints_2d_confidence go together")
+        expected = (len(self.K), self.size[1], self.size[0])
+        if self.masks.object.shape != expected:
+            raise UsageError(f"View.masks must be of the shape {expected} (got {self.masks.object.shape})")
+
+    def take(self, index: Int[ndarray, "n"]) -> View:
+        """Return the view of some frames, in the given order."""
+        seen, confidence = (None if a is None else a[index] for a in (self.joints_2d, self.joints_2d_confidence))
+        return replace(
+            self, K=self.K[index], T_cam_view=self.T_cam_view[index], masks=self.masks.take(index),
+            joints_2d=seen, joints_2d_confidence=confidence, depth=self.depth and self.depth.take(index),
+        )  # fmt: skip
+
+    @property
+    def T_view_cam(self) -> Float[ndarray, "T 4 4"]:
+        """Poses of the clip's camera in this camera's frame."""
+        return se3.inverse(self.T_cam_view)
+
+
+@dataclass(frozen=True, eq=False)
+class Views(ArrayData):
+    """The further views of a clip, each of the same T frames."""
+
+    each: tuple[View, ...]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.each or len({view.name for view in self.each}) < len(self.each):
+            raise UsageError(f"Views.each must be one view or more, of different names (got {self.names})")
+        if len({len(view.K) for view in self.each}) > 1:
+            raise UsageError(f"Views.each must have the same number of frames (got {[len(v.K) for v in self.each]})")
+
+    def __len__(self) -> int:
+        return len(self.each[0].K)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the views."""
+        return [view.name for view in self.each]
+
+    def take(self, index: Int[ndarray, "n"]) -> Views:
+        """Return the views of some frames, in the given order."""
+        return Views(tuple(view.take(index) for view in self.each))
+
+
+def views_of(clip: Clip) -> tuple[View, ...]:
+    """Return the further views of a clip that are in memory; none without any."""
+    views = clip.evidence.get(VIEWS_KEY)
+    assert views is None or isinstance(views, Views)
+    return () if views is None else views.each
+
+
+def with_views(clip: Clip, views: Sequence[View]) -> Clip:
+    """Return the clip with further views in memory; without any, even if its folder has some."""
+    return replace(clip, evidence={**clip.evidence, VIEWS_KEY: Views(tuple(views)) if views else None})
+
+
+def clip_in_view(clip: Clip, view: View) -> Clip:
+    """Return a clip as a further camera sees it: hands, truth and camera in that camera's frame, and its evidence."""
+    T, other, truth = view.T_view_cam, clip.other_hand, clip.truth
+    hand = replace(
+        clip.hand, T_cam_hand=T @ clip.hand.T_cam_hand, joints_2d=view.joints_2d,
+        joints_2d_confidence=view.joints_2d_confidence,
+    )  # fmt: skip
+    if other is not None:
+        track = replace(other.track, T_cam_hand=T @ other.track.T_cam_hand, joints_2d=None, joints_2d_confidence=None)
+        other = OtherHand(track, other.known)
+    if truth is not None:
+        truth = replace(truth, T_cam_obj=T @ truth.T_cam_obj, T_cam_hand=T @ truth.T_cam_hand)
+    seen = replace(
+        clip, name=f"{clip.name}/{VIEWS_KEY}/{view.name}", hand=hand, other_hand=other, truth=truth, K=view.K,
+        size=view.size, world=None, folder=view.folder, segments=(), left_out=(),
+        evidence={"texture": None, VIEWS_KEY: None, DEPTH_KEY: view.depth},
+    )  # fmt: skip
+    return with_masks(seen, view.masks)
+
+
+def view_folders(folder: Path) -> list[Path]:
+    """List the folders of views in a clip's folder, by name. Raises ``InputError`` for links, and for too many."""
+    if not os.path.lexists(folder / VIEWS_KEY):
+        return []
+    top = files.inside(folder, VIEWS_KEY, "", "a folder of views")
+    found = sorted(path for path in top.iterdir() if not path.name.startswith("."))
+    if len(found) > MAX_VIEWS:
+        raise InputError(top, "", f"{len(found)} views", f"at most {MAX_VIEWS}")
+    return [files.inside(folder, f"{VIEWS_KEY}/{path.name}", "", "the folder of a view") for path in found]
+
+
+def view_files(folder: Path, frames: Sequence[str]) -> list[str]:
+    """Name the files of all views in a clip's folder for some of its frames: results depend on them."""
+    out = []
+    for path in view_folders(folder):
+        names = [VIEW_FILE, *([JOINTS_FILE] if os.path.lexists(path / JOINTS_FILE) else [])]
+        names += [name for kind in ("object", "ignore", "hand") for name in mask_files(path, kind, frames)]
+        names += [name for frame in frames if (name := depth_file(path, frame)) is not None]
+        out += [f"{VIEWS_KEY}/{path.name}/{name}" for name in names]
+    return out
+
+
+def read_views(clip: Clip) -> Views | None:
+    """Read and check the views in a clip's folder, at the clip's frames; None without any. Raises ``InputError``."""
+    if clip.folder is None:
+        return None
+    found = [read_view(clip, folder) for folder in view_folders(clip.folder)]
+    return Views(tuple(found)) if found else None
+
+
+def read_view(clip: Clip, folder: Path) -> View:
+    """Read and check one view of a clip from its folder, at the clip's frames. Raises ``InputError``."""
+    path = files.inside(folder, VIEW_FILE, "", "the description of a view")
+    fields = files.read_json(path)
+    unknown = next((key for key in fields if key not in VIEW_KEYS), None)
+    if unknown is not None:
+        raise InputError(path, files.printable(unknown), "an unknown key", f"one of {', '.join(VIEW_KEYS)}")
+    if fields.get("version") != VIEW_FORMAT_VERSION:
+        raise InputError(path, "version", files.shorten_value(fields.get("version")), str(VIEW_FORMAT_VERSION))
+    camera, offset = fields.get("camera"), fields.get("time_offset", 0.0)
+    if not isinstance(camera, dict) or sorted(camera) != sorted(VIEW_CAMERA_KEYS):
+        expected = '{"K": 3x3 or one for each frame, "T_cam_view": 4x4 or one for each frame}'
+        raise InputError(path, "camera", files.shorten_value(camera), expected)
+    if isinstance(offset, bool) or not isinstance(offset, int | float) or not abs(offset) <= MAX_TIME_OFFSET_S:
+        expected = f"seconds after the clip's images, at most {MAX_TIME_OFFSET_S:g} either way"
+        raise InputError(path, "time_offset", files.shorten_value(offset), expected)
+    frames, size = parse_frame_names(path, fields.get("frames")), parse_image_size(path, fields.get("size"))
+    K = parse_intrinsics(path, camera, len(frames), size)
+    T = parse_matrices(path, "camera.T_cam_view", camera["T_cam_view"], 4, len(frames))
+    check_camera_poses(path, T, frames, "camera.T_cam_view")
+    place = {name: n for n, name in enumerate(frames)}
+    known = np.array([name in place for name in clip.frames])
+    if not known.any():
+        expected = f"frames of the clip, {clip.frames[0]} to {clip.frames[-1]}"
+        raise InputError(path, "frames", f"frames from {files.shorten_value(frames[0])}", expected)
+    rows = _nearest_known(np.array([place.get(name, -1) for name in clip.frames]), known)
+    view = View(
+        name=folder.name, size=size, K=K[rows], T_cam_view=T[rows], masks=_unknown_masks(len(clip), size),
+        time_offset=float(offset), folder=folder,
+        provenance=parse_provenance(path, fields.get("provenance", {}), 4),
+    )  # fmt: skip
+    seen = replace(clip_in_view(clip, view), evidence={})
+    if (masks := read_available_masks(seen, with_hand=True)) is not None:
+        view = replace(view, masks=masks)
+    if os.path.lexists(folder / JOINTS_FILE):
+        stored = arrays.read(
+            files.inside(folder, JOINTS_FILE, "", "joints of the hand in the view"),
+            lambda key: key.startswith("joints_2d"),
+        )
+        points, confidence = parse_joints_2d(folder / JOINTS_FILE, stored, len(frames))
+        confidence = np.where(known[:, None], confidence[rows], 0.0)
+        view = replace(view, joints_2d=points[rows], joints_2d_confidence=confidence)
+    depth = read_depth(with_masks(seen, view.masks)) if view.masks.observed.any() else None
+    return replace(view, depth=depth)
+
+
+def _nearest_known(rows: Int[ndarray, "T"], known: Bool[ndarray, "T"]) -> Int[ndarray, "T"]:
+    """Return the row of each frame, or of the nearest frame that has one."""
+    at = np.flatnonzero(known)
+    nearest = at[np.abs(np.arange(len(rows))[:, None] - at).argmin(axis=1)]
+    return rows[nearest]
+
+
+def _unknown_masks(frames: int, size: tuple[int, int]) -> Masks:
+    """Make masks that say nothing in any frame."""
+    nothing = np.zeros((frames, size[1], size[0]), dtype=bool)
+    return Masks(nothing, ~nothing)
+
+
+def write_view(view: View, clip: Clip, folder: Path) -> None:
+    """Write a view of a clip into ``views/NAME`` of the clip's new folder."""
+    to = files.folder_inside(folder, VIEWS_KEY, view.name)
+    camera = {"K": collapse_constant(view.K), "T_cam_view": collapse_constant(view.T_cam_view)}
+    about = {"version": VIEW_FORMAT_VERSION, "frames": clip.frames, "size": view.size, "camera": camera}
+    about |= {"time_offset": view.time_offset} if view.time_offset else {}
+    files.write_json(to / VIEW_FILE, {**about, "provenance": view.provenance})
+    masks = view.masks
+    if masks.known.any():
+        write_masks(masks.object, masks.known, clip.frames, to / "masks" / "object")
+        if masks.say_what_hides:
+            write_masks(masks.ignore, masks.known, clip.frames, to / "masks" / "ignore")
+        if masks.hand is not None:
+            write_masks(masks.hand, masks.known, clip.frames, to / "masks" / "hand")
+    if view.joints_2d is not None and view.joints_2d_confidence is not None:
+        seen = {"joints_2d": view.joints_2d, "joints_2d_confidence": view.joints_2d_confidence}
+        arrays.write(to / JOINTS_FILE, seen)
+    if view.depth is not None:
+        write_clip_depth(clip_in_view(clip, view), view.depth, to)
