@@ -8,6 +8,7 @@ from dataclasses import asdict, fields
 import pytest
 
 from getagrip.bench.ablations import ABLATIONS, ablation_variants, method_variants
+from getagrip.errors import UsageError
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Departures, Options
 
@@ -51,6 +52,13 @@ def test_all_methods_but_the_slow_ones_where_none_is_named() -> None:
     fast = [name for name, method in METHODS.items() if not method.slow]
     assert [variant.folder for variant in method_variants([], Options())] == fast
     assert [variant.folder for variant in method_variants(["paper"], Options())] == ["paper"]
+
+
+def test_only_known_evidence_is_left_out() -> None:
+    none = ablation_variants("pixels", [], Options())[-1].options
+    assert (none.without, none.interval) == (("texture", "profile", "handle"), "as-given")
+    with pytest.raises(UsageError, match="unknown without 'luck'"):
+        Options(without=("luck",))  # type: ignore[arg-type]
 
 
 def test_departures_lead_step_by_step_from_the_paper_to_ours() -> None:

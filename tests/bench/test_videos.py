@@ -57,6 +57,65 @@ def test_a_record_is_read_back_until_settings_change(tmp_path: Path, monkeypatch
     assert (len(drafted), other.again) == (2, "the earlier result is of another clip")
 
 
+def test_settings_share_the_draft_and_are_records_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    benchmark = VideoBenchmark(RenderedVideos(split="train"), Options(), (), run_call, "pixels")
+    clip = filmed_clips("train")[0]
+    (of_ablation,) = benchmark.trials([Sample(clip.name, tmp_path / "clips" / clip.name)], tmp_path / "results", False)
+    assert isinstance(of_ablation, VideoTrial)
+    assert of_ablation.results != trial(tmp_path).results
+    assert of_ablation.settings["all of it"] == Options()
+    tried = list[Options]()
+
+    class Draft:
+        """A draft whose fits are counted."""
+
+        def __init__(self, *_: object) -> None:
+            self.stages: Json = {}
+
+        def solve(self, _: object, options: Options) -> Json:
+            tried.append(options)
+            return RESULT
+
+    monkeypatch.setattr(videos, "write_rendered_video", lambda *_, **__: None)
+    monkeypatch.setattr(videos, "VideoDraft", Draft)
+    assert {*of_ablation.scores().by} == {PLAIN, *of_ablation.settings}
+    assert tried == list(of_ablation.settings.values())
+
+
+def test_an_ablation_compares_settings_of_the_same_drafts() -> None:
+    benchmark = VideoBenchmark(RenderedVideos(), Options(), (), run_call, "pixels")
+    one = {**RESULT, "iou": 0.95, "fit_seconds": 4.0, "object": {**OBJECT, "turned_deg": 3.0}}
+    turned = {**one, "fit_seconds": 2.0, "object": {**OBJECT, "rotation_deg": 90.0, "turned_deg": 90.0}}
+    failed: Json = {"failure": "nothing", "seconds": 1.0}
+    drawn, scan = ({PLAIN: each, **dict.fromkeys(benchmark.settings, each)} for each in (failed, one))
+    scan["none of them"] = turned
+    stages = {"render_seconds": 10.0}
+    page = benchmark.page(
+        [
+            VideoScores("a", split="train", stages=stages, by=drawn, seconds=20.0),
+            VideoScores("b", split="train", stages=stages, by=scan, scanned=True, seconds=20.0),
+        ]
+    )
+    assert page is not None
+    assert [*page.texts] == ["pixels.md"]
+    lines = [line for line in page.texts["pixels.md"].splitlines() if line.startswith("|")]
+    head, _, *rows = [line.strip("| ").split(" | ") for line in lines]
+    of = {row[1]: dict(zip(head, row, strict=True)) for row in rows}
+    keys = "no result", "right but for distance, %", "gained", "lost", "facing right, %"
+    assert [of["all of it"][key] for key in keys] == ["1", "50", "1", "0", "100"]
+    assert [of["none of them"][key] for key in keys] == ["1", "0", "0", "0", "0"]
+    assert [of[name]["CPU of the fit"] for name in ("all of it", "none of them")] == ["2.00", "1.00"]
+    assert of["all of it"]["CPU of the draft"] == "1.25"
+
+
+def test_ablations_of_other_things_than_options_are_refused() -> None:
+    for name in ("hand-noise", "departures", "sca", "luck"):
+        with pytest.raises(UsageError, match="--ablation"):
+            VideoBenchmark(RenderedVideos(), Options(), (), run_call, name)
+    with pytest.raises(UsageError, match="--oracle"):
+        VideoBenchmark(RenderedVideos(), Options(), ("masks",), run_call, "inits")
+
+
 def test_the_first_clips_are_taken(tmp_path: Path) -> None:
     source = RenderedVideos(split="validation")
     found, bad = sample_clips(source, tmp_path, 7, debug=False)

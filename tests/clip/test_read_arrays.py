@@ -27,6 +27,7 @@ WRONG: dict[str, tuple[Clip, str]] = {
     ),
     "the focal length 4.1e+06": (replace(CLIP, K=CLIP.K * [[1e5, 1, 1], [1, 1e5, 1], [1, 1, 1]]), "camera.K"),
     "110 m large": (replace(CLIP, mesh=Mesh(1e3 * CLIP.mesh.vertices, CLIP.mesh.faces)), "mesh"),
+    "points within the mesh": (replace(CLIP, handle=CLIP.mesh.centre[None] + 1.0), "handle"),
     "look inward": (replace(CLIP, mesh=Mesh(CLIP.mesh.vertices, CLIP.mesh.faces[:, ::-1])), "mesh"),
     "(got 1e-299)": (replace(CLIP, fps=1e-299), "fps must be frames per second"),
     "(got 1e+299)": (replace(CLIP, fps=1e299), "fps must be frames per second"),

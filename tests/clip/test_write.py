@@ -22,6 +22,7 @@ from getagrip.clip.write import write_hand
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import write_mesh
+from getagrip.geometry.warp import Warp
 from getagrip.io import files
 from getagrip.io.images import write_image, write_mask
 from helpers.clip_faults import edit_json, edit_npz, edit_png
@@ -73,6 +74,18 @@ def test_camera_poses_and_times_are_kept(tmp_path: Path, moves: bool, up: np.nda
     assert some.world is not None
     np.testing.assert_array_equal(some.time, [1.5, 2.0])
     np.testing.assert_array_equal(some.world.T_world_cam, T[[0, 2]])
+
+
+@pytest.mark.parametrize("points", [0, 2])
+def test_a_marked_handle_is_kept_with_its_mesh(tmp_path: Path, points: int) -> None:
+    clip, _ = small_clip()
+    marked = replace(clip, handle=clip.mesh.vertices[:points])
+    back = read_clip(write_clip(marked, None, tmp_path / "clip"))
+    np.testing.assert_allclose(back.handle, marked.handle, atol=1e-12)
+    np.testing.assert_array_equal(marked.resized(2.0).handle, marked.resized(2.0).mesh.vertices[:points])
+    warp = Warp.by(np.zeros(3), 0.1, 0.01 * np.arange(27.0).reshape(9, 3))
+    np.testing.assert_allclose(marked.warped(warp).handle, marked.warped(warp).mesh.vertices[:points], atol=1e-12)
+    assert clip.resized(2.0).handle is clip.warped(warp).handle is None
 
 
 def test_clips_of_version_1_are_read_as_before(clip_folder: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from getagrip.geometry.handles import find_handle
+from getagrip.geometry.handles import find_handle, spread_along
 from getagrip.geometry.mesh import Mesh
 from getagrip.synthetic.categories import SHAPE_MAKERS
 
@@ -45,6 +45,14 @@ def test_any_axis_of_the_frame_may_be_the_body_s(axes: tuple[int, int, int]) -> 
     away = np.linalg.norm((1.3 * line[:, axes] + np.array([0.4, -0.2, 0.1]))[:, None] - same, axis=-1).min(axis=0)
     assert away.max() < 0.05 * other.diameter
     assert np.median(away) < 0.02 * other.diameter
+
+
+def test_points_between_corners_are_as_close_as_found_ones() -> None:
+    corners = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0, 0], [0.1, 0.001, 0]])
+    line = spread_along(corners, 0.2)
+    assert np.linalg.norm(np.diff(line, axis=0), axis=1).max() <= 0.025 * 0.2 + 1e-12
+    assert {*map(tuple, corners)} <= {*map(tuple, line)}
+    np.testing.assert_array_equal(spread_along(corners[:1], 0.2), corners[:1])
 
 
 def test_flat_and_degenerate_meshes_have_no_handle() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, get_args
 
 from getagrip.bench.inputs.added_views import MAX_ADDED_VIEWS, AddedViews
 from getagrip.bench.inputs.hand_sources import HandSource, WithHands
@@ -33,7 +33,7 @@ from getagrip.bench.inputs.simulated_evidence import (
 from getagrip.bench.inputs.wrong_inputs import INPUT_MISTAKES
 from getagrip.errors import UsageError
 from getagrip.fitting.methods import METHODS
-from getagrip.fitting.options import Departures, Options
+from getagrip.fitting.options import BesideMasks, Departures, Options
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 from getagrip.metrics.evaluate.external import ExternalSystem
 from getagrip.synthetic.noise import NOISE_PRESETS, Noise
@@ -318,6 +318,24 @@ ABLATIONS: dict[str, Ablation] = {
         "Deliberate mistakes, and the findings of the checks",
         "none",
         (Setting("none"), *(Setting(mistake, change=Wrong(mistake)) for mistake in INPUT_MISTAKES)),
+        ("soft-hinge",),
+    ),
+    "pixels": Ablation(
+        "Evidence beside the silhouette: all of it, without one, or none",
+        "none of them",
+        (
+            Setting("all of it"),
+            *(
+                Setting(f"without {words}", options)
+                for words, options in (
+                    ("texture", {"without": ("texture",)}),
+                    ("the free profile", {"without": ("profile",)}),
+                    ("handles", {"without": ("handle",)}),
+                    ("firm ends", {"interval": "as-given"}),
+                )
+            ),
+            Setting("none of them", {"without": get_args(BesideMasks), "interval": "as-given"}),
+        ),
         ("soft-hinge",),
     ),
     "departures": Ablation(

@@ -15,7 +15,7 @@ from getagrip.io.options import Flag
 ABLATION_NAMES = (
     "physical", "occlusion", "axis", "inits", "hand-noise", "hand-refinement", "evidence", "wrong-evidence",
     "hand-flips", "true-hands", "mask-noise", "mask-gaps", "wrong-masks", "other-mesh", "scale", "sca", "inputs",
-    "final", "final-evidence", "wrong-input", "departures",
+    "final", "final-evidence", "wrong-input", "pixels", "departures",
 )  # fmt: skip
 """Names of ``bench.ablations.ABLATIONS``, which load the solver."""
 

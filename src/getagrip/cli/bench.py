@@ -143,6 +143,7 @@ class BenchTimelines(Bench[T], Generic[T]):
         return TimelineBenchmark(self.source, self.options)
 
 
+VIDEO_ABLATIONS_HINT = "(as pixels, the evidence beside the silhouette; default: none)"
 ORACLES_HINT = f"(of {', '.join(ORACLE_NAMES)}; default: none)"
 
 
@@ -152,12 +153,14 @@ class BenchVideos(Bench[RenderedVideos]):
 
     oracle: Annotated[tuple[str, ...], arg(metavar="NAME...", help_behavior_hint=ORACLES_HINT)] = ()
     """Also draft each video with the truth in place of a stage."""
+    ablation: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=VIDEO_ABLATIONS_HINT)] = None
+    """Fit each draft in several settings, instead; hands and masks are the same. Only of options, of soft-hinge."""
 
     def benchmark(self) -> VideoBenchmark:
         from getagrip.bench.pixels.videos import VideoBenchmark
         from getagrip.cli.calls import run_call
 
-        return VideoBenchmark(self.source, self.options, self.oracle, run_call)
+        return VideoBenchmark(self.source, self.options, self.oracle, run_call, self.ablation)
 
 
 @dataclass(frozen=True, kw_only=True)

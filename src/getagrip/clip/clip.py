@@ -305,6 +305,8 @@ class Clip(ArrayData):
         frames: names of the T frames, and of their mask and image files; by default numbers from 000000 on.
         name: name of the clip; results are written to a folder of this name.
         category: category of the object, such as "mug".
+        handle: (P, 3) points along the middle line of the mesh's handle, in its frame [m]; none if it has no handle;
+            None where it is looked for.
         fps: frames per second of the footage, for durations.
         times: (T,) time of each frame [s], rising; None if the frames follow each other at ``fps`` (``time``).
         world: poses of the camera in the world; None if unknown.
@@ -330,6 +332,7 @@ class Clip(ArrayData):
     frames: tuple[str, ...] = ()
     name: str = "clip"
     category: str = "object"
+    handle: Float[ndarray, "P 3"] | None = None
     fps: float = 30.0
     times: Float[ndarray, "T"] | None = None
     world: World | None = None
@@ -345,7 +348,7 @@ class Clip(ArrayData):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("K", "times"):
+        for name in ("K", "times", "handle"):
             check_finite(f"Clip.{name}", getattr(self, name))
         count = len(self.hand.vertices)
         if not self.frames:
@@ -457,7 +460,14 @@ class Clip(ArrayData):
 
     def warped(self, warp: Warp | None) -> Clip:
         """Return the clip with its mesh deformed by a warp, if any."""
-        return self if warp is None else replace(self, mesh=warp(self.mesh))
+        if warp is None:
+            return self
+        return replace(self, mesh=warp(self.mesh), handle=None if self.handle is None else warp.moved(self.handle))
+
+    def resized(self, factor: float) -> Clip:
+        """Return the clip with its mesh scaled by a factor, without colours."""
+        mesh = Mesh(factor * self.mesh.vertices, self.mesh.faces)
+        return replace(self, mesh=mesh, handle=None if self.handle is None else factor * self.handle)
 
     def take(self, index: Int[ndarray, "n"]) -> Clip:
         """Return the clip at some frames, in the given order."""

@@ -32,6 +32,7 @@ from getagrip.clip.read_arrays import (
     MIN_FPS,
     OTHER_HAND_FILE,
     check_camera_poses,
+    check_handle,
     check_in_view,
     check_intrinsics,
     check_times,
@@ -42,6 +43,7 @@ from getagrip.clip.read_arrays import (
 )
 from getagrip.clip.timeline import Segment, Side, at_frames, read_segments, segment_fields
 from getagrip.errors import InputError, UsageError, check_arguments
+from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import read_mesh
 from getagrip.io import arrays, files
 from getagrip.provenance import Provenance, parse_provenance
@@ -94,6 +96,16 @@ def parse_world(path: Path, camera: dict[str, object], frames: tuple[str, ...]) 
     return World(T, up, None if support is None else float(support))
 
 
+def parse_handle(path: Path, value: object, mesh: Mesh) -> Float[ndarray, "P 3"]:
+    """Parse points along the handle's middle line, in the frame of the mesh [m]. Raises ``InputError``."""
+    points = np.zeros((0, 3)) if value == [] else _numbers_to_array(value)
+    if points.ndim != 2 or points.shape[1] != 3:
+        expected = "a list of points [x, y, z] [m]; an empty one for a mesh without a handle"
+        raise InputError(path, "handle", files.shorten_value(value), expected)
+    check_handle(path, points, mesh)
+    return points
+
+
 def parse_times(path: Path, value: object, frames: tuple[str, ...]) -> Float[ndarray, "T"]:
     """Parse the time of each frame [s]. Raises ``InputError``."""
     values = _numbers_to_array(value)
@@ -126,7 +138,7 @@ CLIP_FORMAT_VERSION = 4
 """Version of written clips; older ones can be read."""
 REQUIRED_CLIP_KEYS = ("version", "name", "category", "side", "fps", "frames", "size", "camera", "mesh", "scale")
 OPTIONAL_KEYS_BY_VERSION = {1: ("provenance",), 2: ("provenance", "times"), 3: ("provenance", "times", "segments")}
-OPTIONAL_KEYS_BY_VERSION[4] = (*OPTIONAL_KEYS_BY_VERSION[3], "depth")
+OPTIONAL_KEYS_BY_VERSION[4] = (*OPTIONAL_KEYS_BY_VERSION[3], "depth", "handle")
 """Further keys of ``clip.json`` by its version."""
 CAMERA_KEYS_BY_VERSION = {1: CLIP_CAMERA_KEYS[:1], 2: CLIP_CAMERA_KEYS[:3], 3: CLIP_CAMERA_KEYS, 4: CLIP_CAMERA_KEYS}
 """Keys of ``camera`` by version; only the first is required."""
@@ -151,6 +163,7 @@ class ClipFields(TypedDict, total=False):
     times: object
     segments: object
     depth: object
+    handle: object
 
 
 @check_arguments
@@ -185,6 +198,7 @@ def read_clip(folder: str | Path) -> Clip:
         folder=folder,
         name=fields["name"],
         category=fields["category"],
+        handle=parse_handle(path, fields["handle"], mesh) if "handle" in fields else None,
         side=fields["side"],
         fps=float(fields["fps"]),
         frames=tuple(frames[row] for row in rows),

@@ -40,6 +40,8 @@ OTHER_HAND_FILE = "other_hand.npz"
 """File of the other side's hand, in a clip's folder."""
 MAX_PALM_REGIONS, MAX_REGIONS_PER_VERTEX = 100, 8
 """Maximum number of palm regions, and of regions per vertex on average."""
+MAX_HANDLE_POINTS = 50
+"""Maximum number of points along a handle."""
 TRUTH_JOINT_KEYS = ("joint_moves", "joint_point", "joint_direction", "joint_angle")
 """Arrays of ``truth.npz`` on an articulated object's joint."""
 MAX_HINGE_DISTANCE_M = 2.0
@@ -65,6 +67,20 @@ def check_clip(clip: Clip) -> None:
     check_size(path, "mesh", float(np.ptp(mesh.vertices, axis=0).max()), "the object")
     if mesh.is_closed and mesh.volume < 0:
         raise InputError(path, "mesh", "faces that look inward", "faces counter-clockwise seen from outside")
+    if clip.handle is not None:
+        check_handle(path, clip.handle, mesh)
+
+
+def check_handle(path: Path, handle: Float[ndarray, "P 3"], mesh: Mesh) -> None:
+    """Raise ``InputError`` for points of a handle that are too many, or outside the mesh's bounding box."""
+    if len(handle) > MAX_HANDLE_POINTS:
+        raise InputError(path, "handle", f"{len(handle)} points", f"at most {MAX_HANDLE_POINTS}")
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    outside = np.flatnonzero(np.any((handle < low) | (handle > high), axis=1))
+    if len(outside):
+        got = f"the point {np.round(handle[outside[0]], 4).tolist()}"
+        box = f"{np.round(low, 4).tolist()} to {np.round(high, 4).tolist()}"
+        raise InputError(path, "handle", got, f"points within the mesh, {box} m in its own frame")
 
 
 def check_hand(path: Path, hand: HandTrack) -> None:

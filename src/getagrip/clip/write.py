@@ -119,6 +119,7 @@ def _clip_json_fields(clip: Clip) -> dict[str, object]:
         "camera": camera,
         "mesh": _mesh_file(clip),
         "scale": clip.scale,
+        **({} if clip.handle is None else {"handle": clip.handle}),
         **({"segments": segment_fields(clip.segments, clip.frames)} if clip.segments else {}),
         "provenance": clip.provenance,
     }

@@ -161,7 +161,7 @@ def depth_order_energy(problem: Problem) -> Energy:
 
 def handle_energy(problem: Problem) -> Energy:
     """Return the saving of a handle that lies within the fingers, by the weight of pull; none without a handle."""
-    handle, fingers = problem.surface.handle, finger_middles(problem.clip.hand)
+    handle, fingers = problem.handle, finger_middles(problem.clip.hand)
     pull = problem.trust.contact * problem.options.pull
     if handle is None or fingers is None or not pull:
         return NO_TERMS

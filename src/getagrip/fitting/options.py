@@ -11,13 +11,22 @@ from tyro.conf import Fixed, FlagConversionOff, Suppress, arg
 
 from getagrip.errors import NamedFields, UsageError
 from getagrip.fitting.methods import METHODS, method_of
-from getagrip.io.options import Flag, check_values, expand_user_path, explain_fields, parsed_argument, switch
+from getagrip.io.options import (
+    Flag,
+    check_values,
+    check_word,
+    expand_user_path,
+    explain_fields,
+    parsed_argument,
+    switch,
+)
 
 Hands = Literal["corrected", "as-given"]
 MaskUse = Literal["checked", "as-given"]
 MeshUse = Literal["fitted", "as-given"]
 IntervalUse = Literal["firm", "as-given"]
 Init = Literal["uniform", "clusters", "priors", "poses"]
+BesideMasks = Literal["texture", "profile", "handle"]
 
 
 @dataclass(frozen=True)
@@ -164,6 +173,9 @@ class Options(SearchOptions):
     """Weight of E_pull, the paper's lambda_3 without the focal length."""
     occlusion: Annotated[bool, Suppress, Fixed] = True
     """Leave out pixels hidden by the hand (the paper's C_o)."""
+    without: Annotated[tuple[BesideMasks, ...], Suppress, Fixed] = ()
+    """Evidence beside the masks that is left out, for ablations: the mesh's texture, the free profile of a body of
+    revolution, the handle in the fingers."""
     departures: Annotated[Departures, Suppress, Fixed] = NO_DEPARTURE
     """Parts of the method ``paper`` that are replaced by ours; for ablations. Other methods do not use it."""
 
@@ -177,6 +189,8 @@ class Options(SearchOptions):
         super().__post_init__()
         if self.departures != NO_DEPARTURE and self.method != "paper":
             raise UsageError(f"departures cannot be used with method {self.method!r}, only with 'paper'")
+        for name in self.without:
+            check_word("without", name, BesideMasks)
         if self.frames < 2:
             raise UsageError(f"frames must be 2 or more (got {self.frames})")
         if not (0 <= self.push < math.inf and 0 <= self.pull < math.inf):

@@ -35,7 +35,7 @@ from getagrip.fitting.motion import Motion, PosesInHand
 from getagrip.fitting.options import FREE_SCALE_START_FACTOR, Options
 from getagrip.fitting.solver import initial_poses
 from getagrip.geometry import se3
-from getagrip.geometry.handles import find_handle
+from getagrip.geometry.handles import find_handle, spread_along
 from getagrip.geometry.kernels.closest import FaceGrid
 from getagrip.geometry.mesh import Mesh, decimate
 from getagrip.geometry.warp import Warp
@@ -306,6 +306,17 @@ class Problem:
             self, clip=view.clip(self.clip), masks=view.masks, observation=view.observation,
             refinement=view.refinement, views=(),
         )  # fmt: skip
+
+    @property
+    def handle(self) -> Float[ndarray, "P 3"] | None:
+        """Points of the handle's middle line about the centre of the mesh [m], as the clip marks it or as it is found.
+
+        None without a handle, and where the options leave it out.
+        """
+        marked, mesh = self.clip.handle, self.clip.mesh
+        if "handle" in self.options.without or (marked is not None and not len(marked)):
+            return None
+        return self.surface.handle if marked is None else spread_along(marked, mesh.diameter) - mesh.centre
 
     @property
     def input_masks(self) -> Masks:

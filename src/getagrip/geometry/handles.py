@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -62,6 +63,15 @@ def find_handle(mesh: Mesh) -> Float[ndarray, "P 3"] | None:
         if member is not None:
             return _middle_line(points[member], THICKNESS * mesh.diameter)
     return None
+
+
+def spread_along(corners: Float[ndarray, "P 3"], diameter: float) -> Float[ndarray, "Q 3"]:
+    """Return points of the line through ``corners``, at least one, as close as those of ``find_handle`` [m]."""
+    step, parts = 0.5 * THICKNESS * diameter, list[ndarray]()
+    for start, end in pairwise(corners):
+        count = int(np.ceil(np.linalg.norm(end - start) / step))
+        parts.append(np.linspace(start, end, count, endpoint=False))
+    return np.concatenate([*parts, corners[-1:]])
 
 
 def _body_about(points: Float[ndarray, "n 3"], k: int, diameter: float) -> _Body | None:

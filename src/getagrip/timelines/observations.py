@@ -16,7 +16,6 @@ from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import RepairedInput
 from getagrip.fitting.problem import Problem, prepare_problem
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import Mesh
 
 TIMELINE_METHOD = "soft-hinge"
 """Method that solves the grasps of a timeline."""
@@ -60,7 +59,7 @@ class TimelineInputs:
         clip = with_masks(clip, masks)
         if clip.scale == "free":
             scale = find_scale(clip, options)
-            clip = replace(clip, mesh=Mesh(scale * clip.mesh.vertices, clip.mesh.faces), scale="known", truth=None)
+            clip = replace(clip.resized(scale), scale="known", truth=None)
         world = clip.world or World(np.tile(np.eye(4), (len(clip), 1, 1)))
         clip = replace(clip, world=world)
         some = prepare_problem(clip, replace(options, frames=2, hands="as-given"))

@@ -102,6 +102,15 @@ def test_starts_have_the_handle_within_the_fingers(side: Side) -> None:
     np.testing.assert_array_equal(poses.log_scale, initial.log_scale[0])
     measured = replace(problem, clip=replace(problem.clip, scale="known"))
     assert len(handle_poses(measured, initial).R) == 0
+    assert problem.handle is not None
+    ends = problem.handle[[0, -1]] + problem.clip.mesh.centre
+    marked, without = (replace(problem, clip=replace(problem.clip, handle=line)) for line in (ends, ends[:0]))
+    assert marked.handle is not None
+    np.testing.assert_allclose(marked.handle[[0, -1]], problem.handle[[0, -1]], atol=1e-12)
+    assert without.handle is None
+    left_out = replace(problem, options=Options(without=("handle",)))
+    assert len(handle_poses(left_out, initial).R) == 0
+    assert not handle_energy(left_out)(256, np.arange(len(problem.clip)))
 
 
 def in_camera(problem: Problem, poses: Fixed) -> tuple[PosesInCamera, np.ndarray]:

@@ -58,8 +58,8 @@ def at_truth(problem: Problem) -> Soft[Fixed]:
     return Soft.around(core, poses, (1e4, 1e2))
 
 
-def shape_at_truth(clip: Clip, masks: Masks, misfit: float = 10.0) -> Warp | None:
-    problem = prepare_problem(with_masks(clip, masks), Options())
+def shape_at_truth(clip: Clip, masks: Masks, misfit: float = 10.0, options: Options | None = None) -> Warp | None:
+    problem = prepare_problem(with_masks(clip, masks), options or Options())
     return fit_shape(problem, at_truth(problem), np.arange(len(clip)), misfit)
 
 
@@ -107,6 +107,9 @@ def test_the_profile_of_a_body_of_revolution_is_found(kind: str) -> None:
     assert warp is not None
     assert warp.profile is not None
     assert unlike(warp(mesh), true) < 0.45 * unlike(mesh, true)
+    left_out = shape_at_truth(guessed, masks, options=Options(without=("profile",)))
+    assert left_out is not None
+    assert left_out.profile is None
     own = ground_truth_masks(make_scene(kind, 0, SMALL))
     assert shape_at_truth(guessed, own) is None  # of an object that has the built-in shape
     measured = shape_at_truth(replace(guessed, provenance={"mesh": Source("a scan")}), masks)

@@ -87,6 +87,9 @@ def test_plain_and_other_colours_change_nothing(tmp_path: Path) -> None:
         assert np.array_equal(same.poses.R, wrong.poses.R)
         assert not same.texture.gain > 0.0
         assert not same.texture.against > 0.0
+    left_out = prefer_texture(replace(problem, options=replace(problem.options, without=(TEXTURE_KEY,))), wrong)
+    assert np.array_equal(left_out.poses.R, wrong.poses.R)
+    assert np.isnan(left_out.texture.correlation)
     for path in problem.clip.evidence[TEXTURE_KEY].paths:  # type: ignore[union-attr]
         path.write_bytes(b"no image")
     unread = prefer_texture(problem, wrong)

@@ -251,7 +251,7 @@ def _scale_clip_mesh(clip: Clip, factor: float) -> Clip:
     if truth is not None:
         joint = truth.joint and replace(truth.joint, point=factor * truth.joint.point)
         truth = replace(truth, scale=truth.scale / factor, joint=joint)
-    return replace(clip, mesh=Mesh(factor * clip.mesh.vertices, clip.mesh.faces), truth=truth)
+    return replace(clip.resized(factor), truth=truth)
 
 
 @dataclass(frozen=True)

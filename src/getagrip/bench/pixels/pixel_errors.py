@@ -71,6 +71,7 @@ class ObjectErrors:
         along_mm: median shift of the object's centre along the true ray, positive away from the camera [mm].
         across_mm: median distance of the centre across the true ray [mm].
         rotation_deg: median angle between the rotations [degrees].
+        turned_deg: the same, symmetries of the shape not counted: by its texture a box has none.
     """
 
     right: bool
@@ -79,6 +80,7 @@ class ObjectErrors:
     along_mm: float
     across_mm: float
     rotation_deg: float
+    turned_deg: float
 
 
 @dataclass(frozen=True)
@@ -224,6 +226,7 @@ def object_errors(
         1e3 * float(np.median(along)),
         1e3 * float(np.median(across)),
         float(np.degrees(np.median(errors.rotation))),
+        float(np.degrees(np.median(se3.angle_between(found.T_ref_obj[:, :3, :3], T_cam_obj[:, :3, :3])))),
     )
 
 

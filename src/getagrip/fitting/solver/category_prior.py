@@ -58,7 +58,7 @@ def handle_poses(problem: Problem, initial: Fixed) -> Fixed:
 
     They are the usual grips of its handle, also turned by ``HANDLE_TURN_RAD`` about each axis; none without a handle.
     """
-    kind, handle, fingers = unmeasured_kind(problem.clip), problem.surface.handle, finger_middles(problem.clip.hand)
+    kind, handle, fingers = unmeasured_kind(problem.clip), problem.handle, finger_middles(problem.clip.hand)
     if kind is None or handle is None or fingers is None:
         return initial.take(np.zeros(0, dtype=int))
     turns = se3.exp_so3(HANDLE_TURN_RAD * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]))

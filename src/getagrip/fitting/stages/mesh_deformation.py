@@ -186,7 +186,8 @@ def fit_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], m
     bend = BEND_SIGMA if kind is None or kind.bend is None else kind.bend
     T_cam_hand = problem.clip.hand.T_cam_hand[index]
     stiffness = _shape_stiffness(stretch, bend, problem.clip.scale == "known")
-    body = Profile.of(mesh) if kind is not None and kind.revolved else None
+    revolved = kind is not None and kind.revolved and "profile" not in problem.options.without
+    body = Profile.of(mesh) if revolved else None
     if body is not None:
         stiffness = _block_diagonal(stiffness, profile_stiffness(len(body.before)))
     stiffness *= len(index)

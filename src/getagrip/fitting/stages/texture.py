@@ -98,7 +98,8 @@ def prefer_texture(problem: Problem, found: MethodResult) -> MethodResult:
     """Return the solutions, first the one that texture and masks together prefer, with the texture's vote.
 
     The problem is as found, so that a hand that was solved with the object stays as it is. Solutions that texture
-    finds less probable than the first have more energy. Unchanged are results where mesh or images have no colours.
+    finds less probable than the first have more energy. Unchanged are results where mesh or images have no colours, or
+    the options leave texture out.
     """
     images, unread = _seen_frames(problem)
     if not images or found.motion is None or found.energy_of is None:
@@ -185,7 +186,8 @@ def _spread_poses(voted: _Votes, axis: Float[ndarray, "3"]) -> Int[ndarray, "n"]
 def _seen_frames(problem: Problem) -> tuple[list[_Seen], int]:
     """Read the images of some frames that have one, and count those that do not read."""
     clip, images, out, unread = problem.clip, problem.clip.evidence.get(TEXTURE_KEY), list[_Seen](), 0
-    if not isinstance(images, FrameImages) or clip.mesh.colours is None:
+    left_out = TEXTURE_KEY in problem.options.without
+    if left_out or not isinstance(images, FrameImages) or clip.mesh.colours is None:
         return out, unread
     for n in frame_indices(len(clip), N_TEXTURE_FRAMES):
         shown = problem.masks.object[n] & ~problem.masks.ignore[n]
