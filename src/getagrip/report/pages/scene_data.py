@@ -40,8 +40,8 @@ def draw_page_frame(
 ) -> dict[str, object]:
     """Draw frame ``n`` in window ``k``: the image, and the contours of object, hands, ground truth and mask.
 
-    Also the object's contour by each of the ``others``, and in words the ``iou``, if known. ``place`` is where the image
-    lies in the window, left, top, width, height [px]; the rest is the page's own ground.
+    Also the object's contour by each of the ``others``, and in words the ``iou``, if known. ``place`` is where the
+    image lies in the window, left, top, width, height [px]; the rest is the page's own ground.
     """
     outlines = {"hand": _surfaces_outline(view.hands(n), view, n, crops, k)}
     if view.posed:
