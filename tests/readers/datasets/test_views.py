@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from getagrip.batch.import_dataset import import_clips
-from getagrip.clip import Clip
-from getagrip.clip.views import View, views_of
+from getagrip.clip import Clip, read_clip
+from getagrip.clip.views import View, read_views, views_of
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.rasterize import depth_and_face
@@ -228,10 +228,14 @@ def test_a_part_of_a_track_has_the_views_of_its_frames(root: Path) -> None:
 @pytest.mark.slow
 def test_views_are_written_with_the_clip(root: Path, tmp_path: Path, run: Run) -> None:
     assert run("import", "dexycb", root, "--views", "2", "--out", tmp_path / "out")[0] == 0
-    folder = tmp_path / "out" / NAME / "views" / SERIALS[1]
-    about = json.loads((folder / "view.json").read_text())
-    np.testing.assert_allclose(about["camera"]["T_cam_view"], BESIDE, atol=1e-9)
-    assert len(list((folder / "masks" / "object").iterdir())) == len(about["frames"])
+    ((made, _),) = clips(DexYcb(root=root, views=2))
+    views = read_views(read_clip(tmp_path / "out" / NAME))
+    assert views is not None
+    for written, view in zip(views.each, views_of(made), strict=True):
+        assert (written.name, written.size, written.provenance) == (view.name, view.size, view.provenance)
+        np.testing.assert_allclose(written.T_cam_view, view.T_cam_view, atol=1e-9)
+        np.testing.assert_array_equal(written.masks.object, view.masks.object)
+        np.testing.assert_array_equal(written.masks.hand, view.masks.hand)
 
 
 def test_wrong_numbers_of_views_are_refused(root: Path, tmp_path: Path, run: Run) -> None:
