@@ -62,6 +62,18 @@ def test_a_view_without_any_of_the_frames_shows_nothing(stored: tuple[Clip, Clip
     assert [view.masks.known.any() for view in views.each] == [False, True]
 
 
+def test_masks_of_frames_that_a_view_lacks_are_not_its(stored: tuple[Clip, Clip]) -> None:
+    """Its folder may have their files."""
+    clip = stored[1]
+    path = clip.origin / "views" / "view2" / "view.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"frames": clip.frames[1:]}))
+    views, camera = read_views(clip), find_cameras(clip)[0]
+    assert views is not None
+    for masks in (views.each[0].masks, masks_in_view(clip_in_view(clip, camera), camera)):
+        assert masks is not None
+        assert masks.known.tolist() == [False, True, True]
+
+
 def test_folders_of_views_are_folders_inside(stored: tuple[Clip, Clip], tmp_path: Path) -> None:
     clip = stored[1]
     views = clip.origin / "views"

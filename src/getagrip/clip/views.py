@@ -34,7 +34,7 @@ from getagrip.geometry import se3
 from getagrip.io import arrays, files
 from getagrip.io.array_data import ArrayData, check_finite
 from getagrip.io.files import Json
-from getagrip.io.images import PackedMask, PackedMasks
+from getagrip.io.images import PackedMask, PackedMasks, pack_masks
 from getagrip.provenance import Provenance, parse_provenance
 
 VIEWS_KEY = "views"
@@ -244,7 +244,10 @@ def masks_in_view(seen: Clip, view: View) -> Masks | None:
 
     They are in memory or in the view's folder (``find_cameras``). Raises ``InputError``.
     """
-    return view.masks if view.masks.known.any() else read_available_masks(seen)
+    if view.masks.known.any() or view.folder is None:
+        return view.masks
+    frames, masks = {*read_view_header(view.folder).frames}, read_available_masks(seen)
+    return masks and _masks_at(masks, np.array([name in frames for name in seen.frames]))
 
 
 def read_view(clip: Clip, folder: Path) -> View:
@@ -252,7 +255,7 @@ def read_view(clip: Clip, folder: Path) -> View:
     view, n_frames, rows, known = _read_camera(clip, folder)
     seen = replace(clip_in_view(clip, view), evidence={})
     if (masks := read_available_masks(seen, with_hand=True)) is not None:
-        view = replace(view, masks=masks)
+        view = replace(view, masks=_masks_at(masks, known))
     if os.path.lexists(folder / JOINTS_FILE):
         stored = arrays.read(
             files.inside(folder, JOINTS_FILE, "", "joints of the hand in the view"),
@@ -374,6 +377,21 @@ def _unknown_masks(frames: int, size: tuple[int, int]) -> Masks:
     """Make masks that say nothing in any frame."""
     nothing, everything = (make(size[::-1]) for make in (PackedMask.empty, PackedMask.full))
     return Masks(*(PackedMasks([each] * frames, size[::-1]).as_array() for each in (nothing, everything)))
+
+
+def _masks_at(masks: Masks, known: Bool[ndarray, "T"]) -> Masks:
+    """Return masks that are unknown in the frames that a view lacks, though its folder may have files of them."""
+    if known.all():
+        return masks
+    height, width = masks.object.shape[1:]
+    blank = _unknown_masks(len(known), (width, height))
+
+    def kept(read: Bool[ndarray, "T H W"], unknown: Bool[ndarray, "T H W"]) -> Bool[ndarray, "T H W"]:
+        each = zip(pack_masks(read).frames, pack_masks(unknown).frames, known, strict=True)
+        return PackedMasks([mine if has else none for mine, none, has in each], (height, width)).as_array()
+
+    hand = None if masks.hand is None else kept(masks.hand, blank.object)
+    return Masks(kept(masks.object, blank.object), kept(masks.ignore, blank.ignore), hand)
 
 
 def write_view_header(
