@@ -153,6 +153,15 @@ def test_a_view_without_a_mask_in_these_frames_is_a_note() -> None:
     assert [(f.check, f.serious) for f in findings] == [("view-unseen", False)]
 
 
+def test_cameras_out_of_step_are_a_note() -> None:
+    clip, masks = AddedViews(2, UNCHANGED)(*scene("spoon", 1, SMALL), 0)
+    (view,) = views_of(clip)
+    late = with_views(clip, [replace(view, time_offset=0.4 / clip.fps)])
+    findings = run_checks(FurtherViews.result_checks, Evidence(late, masks))[1]
+    assert [(f.check, f.serious) for f in findings] == [("view-out-of-step", False)]
+    assert "0.4 frames" in str(findings[0])
+
+
 @pytest.mark.slow
 def test_a_clip_whose_own_camera_sees_little_is_fitted_from_the_view_that_sees_most() -> None:
     clip, masks = AddedViews(3, UNCHANGED)(*scene("kettle", 1), 0)

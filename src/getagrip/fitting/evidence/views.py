@@ -17,6 +17,10 @@ if TYPE_CHECKING:  # files of clips are asked for by commands that fit nothing
     from getagrip.fitting.problem import Problem
 
 
+MAX_FRAMES_OUT_OF_STEP = 0.1
+"""Offset in time of a view that makes no difference [frames]."""
+
+
 def describe_views_left_out(it: Evidence) -> str:
     """Name the further views that were left out."""
     names = ", ".join(it.views_left_out)
@@ -30,6 +34,11 @@ def describe_view_outliers(it: Evidence) -> str:
     masks = ", ".join(f"{view} {frame}" for view, frame in it.view_outliers[:MAX_NAMED_FRAMES])
     more = len(it.view_outliers) - MAX_NAMED_FRAMES
     return f"masks of further views contradict the others and were left out: {masks}" + f" and {more} more" * (more > 0)
+
+
+def frames_out_of_step(it: Evidence) -> float:
+    """Return the largest stated offset in time of a further view [frames of the clip]; NaN without any."""
+    return max((abs(view.time_offset) * it.clip.fps for view in views_of(it.clip)), default=float("nan"))
 
 
 def unseen_views(it: Evidence) -> list[str]:
@@ -51,6 +60,11 @@ class FurtherViews(Modality[Views]):
         Check(
             "view-outliers", lambda it: float(len(it.view_outliers)), high=0.0, serious=False,
             fault=describe_view_outliers, advice="look at these masks",
+        ),
+        Check(
+            "view-out-of-step", frames_out_of_step, high=MAX_FRAMES_OUT_OF_STEP, serious=False,
+            fault="cameras are up to {value} frames out of step",
+            advice="start them together, or use frames in which hand and object are slow",
         ),
         Check(
             "view-unseen", lambda it: float(len(unseen_views(it))), high=0.0, serious=False,
