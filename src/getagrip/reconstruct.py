@@ -34,7 +34,7 @@ from getagrip.fitting.pipeline import (
 )
 from getagrip.fitting.problem import MethodResult, Problem, prepare_problem
 from getagrip.fitting.solver.solve import minimise
-from getagrip.fitting.stages.confidence import hand_alternatives, probabilities, solved_of
+from getagrip.fitting.stages.confidence import VIEWS_SIGN, hand_alternatives, probabilities, solved_of
 from getagrip.fitting.stages.distance import distance_interval
 from getagrip.fitting.stages.loose_ends import without_loose_ends
 from getagrip.fitting.stages.remaining_frames import SolutionTrack, at_sampled_frames, extend_to_every_frame
@@ -256,6 +256,7 @@ class StableGrasp:
         solved = solved_of(source.clip, problem, found, self.sampled, self.answer.track)
         checks, after = run_checks(result_checks(), solved)
         findings, signs = (*self.findings, *after), compute_features(solved)
+        signs |= {VIEWS_SIGN: 1.0 + len(problem.views)} if problem.views else {}
         names = found.terms if found.hand is None else {*found.terms, *found.hand.energy}
         terms = {name.partition(VIEW_SEPARATOR)[0] for name in names}
         right = probabilities(source.clip, source.options, signs, findings, terms)

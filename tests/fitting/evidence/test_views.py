@@ -18,6 +18,7 @@ from getagrip.fitting.evidence.epipolar import contradicting_views
 from getagrip.fitting.evidence.views import FurtherViews
 from getagrip.fitting.hand.refine_hand import refine_hand
 from getagrip.fitting.options import Options
+from getagrip.fitting.stages.confidence import probability_right
 from getagrip.geometry import se3
 from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction
@@ -80,9 +81,14 @@ def test_views_from_files_are_those_in_memory(tmp_path: Path) -> None:
     np.testing.assert_allclose(one.T_hand_obj, other.T_hand_obj, atol=0.01)  # files of meshes round
 
 
-def test_the_probability_is_not_withheld_beside_views() -> None:
-    clip, masks = AddedViews(2, UNCHANGED)(*scene("spoon", 1), 0)
-    assert reconstruct(clip, masks, Options(every_frame=False)).probability_right is not None
+def test_the_probability_knows_the_number_of_views() -> None:
+    found = reconstruct(*AddedViews(2, UNCHANGED)(*scene("spoon", 1), 0), Options(every_frame=False))
+    assert found.signs["views"] == 2.0
+    assert found.probability_right is not None
+    alone = {name: value for name, value in found.signs.items() if name != "views"}
+    single = probability_right(Options(), alone, found.findings)
+    assert single is not None
+    assert single.value < found.probability_right.value < 1.0
 
 
 def mirrored(view: View) -> View:
