@@ -27,6 +27,7 @@ BENCHES = {
     "dexycb-paper-methods": "getagrip bench dexycb --root DEXYCB --meshes YCB --out out/dexycb-paper --clips 35 "
     "--methods paper-single-frame paper-homan paper-static paper-dynamic paper single-frame homan static dynamic "
     "one-dof soft-hinge",
+    "dexycb-views": f"{DEXYCB} --views 1 2 4",
     "dexycb-wrong-evidence": f"{DEXYCB} --ablation wrong-evidence",
     "synthetic-methods": "getagrip bench synthetic --clips 66 --out out/synthetic",
     "dexycb-segments-none": "getagrip bench dexycb-segments --root DEXYCB --meshes YCB --clips 48 "
