@@ -91,8 +91,8 @@ class VideoTiming:
 
     Attributes:
         times: times of all frames that have one, rising.
-        keys: times of the key frames, rising, also of those that the file leaves out: the first frames of a video that was
-            cut without encoding it anew need one of them.
+        keys: times of the key frames, rising, also of those not shown: of a video that was cut without encoding
+            it anew, the first frames need the key frame before.
         untimed: number of frames without a time.
         base: seconds in a unit; None where the file does not say.
         start: time of the stream's begin; None where the file does not say.
