@@ -186,7 +186,7 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
         "bench.sequences.timelines._score_noise_level": lambda *_: {"category": "box", "by": by},
         "timelines.detect.detect_segments.find_segments": found,
         "report.pages.viewer.ViewerServer.serve_forever": ended,
-        "report.film._overlay_and_turned_frames": lambda _: iter(np.zeros((2, 576, 1080, 3), np.uint8)),
+        "report.film._overlay_and_turned_frames": lambda *_: iter(np.zeros((2, 576, 1080, 3), np.uint8)),
         "report.pictures.result_picture.report_figure": drawn,
     }
     for place, trifle in places.items():

@@ -174,7 +174,7 @@ def make_reconstruction(
         message=message,
         ambiguous=answer.next_best < AMBIGUOUS_ENERGY_RATIO * energy,
         seconds=seconds,
-        options=asdict(options),
+        options=asdict(options) | {"without": [*options.without]},  # as JSON has it
         seed=options.seed,
         T_cam_hand=track.T_cam_hand,
         hand_covariance=None if answer.hand is None else answer.hand.covariance,
