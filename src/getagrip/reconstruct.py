@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from getagrip.checks import INPUT_CHECKS, Evidence, compute_features, input_checks, result_checks, run_checks
 from getagrip.checks.timeline_checks import GRASP_CHECKS
 from getagrip.clip import Clip, Masks, check_clip, check_masks, masks_in_memory, read_masks, with_masks
-from getagrip.clip.views import View, from_best_view
+from getagrip.clip.views import View, from_best_view, with_packed_views
 from getagrip.compiling import COMPILATION_MESSAGE, compile_once
 from getagrip.errors import GetagripError, InputError, UsageError, check_arguments
 from getagrip.fitting.energy.in_view import VIEW_SEPARATOR
@@ -121,7 +121,7 @@ def reconstruct(
         if masks is not None:
             check_masks(clip, masks)
             clip = with_masks(clip, masks.in_bits)
-        clip, view = (clip, None) if options.as_published else from_best_view(clip)
+        clip, view = (clip, None) if options.as_published else from_best_view(with_packed_views(clip))
         if (
             masks_in_memory(clip) is None
             and options.every_frame

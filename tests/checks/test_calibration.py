@@ -380,6 +380,8 @@ def test_looks_follow_the_probability_that_it_looks_right() -> None:
     assert describe_looks(extrapolated, None) == "probably looks right"
     assert describe_looks(extrapolated, Probability(0.3, "")) == "probably looks wrong (30 %)"
     assert describe_looks(None, Probability(0.73, "")) == "probably looks right (73 %)"
+    worse = Probability(0.73, "", ("mask-misfit", "contact-gap"))
+    assert describe_looks(None, worse) == "probably looks right (73 %, extrapolated: mask-misfit, contact-gap)"
 
 
 def draft_record(folder: Path, name: str, split: str, gap: float, right: bool, interval: tuple[float, float]) -> None:

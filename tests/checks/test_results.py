@@ -64,6 +64,9 @@ def test_a_built_in_shape_may_be_farther_off() -> None:
     for away, misfit, own, its in ((0.005, 8.0, SERIOUS, set()), (0.008, 10.0, SERIOUS, {"poor-mask-fit"})):
         assert own <= {*found(clip, masks, away, misfit)}
         assert its == SERIOUS & {*found(built_in, masks, away, misfit)}
+    limits = [found(each, masks, 0.008, 10.0)["poor-mask-fit"] for each in (clip, built_in)]
+    assert [one.limit for one in limits] == [0.9, 0.85]
+    assert "(usual: at least 0.85)" in limits[1].message
 
 
 def test_a_low_overlap_with_near_contours_is_that_of_a_small_object() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,19 @@ import pytest
 
 from getagrip.cli.annotate import DATABASE
 from getagrip.cli.export import Export
+from getagrip.cli.label import compare_results
+from getagrip.clip import input_sha256, write_clip
+from getagrip.geometry import se3
 from getagrip.io import files
+from getagrip.result import write_result
 from getagrip.studio import jobs
 from getagrip.studio.store import labels
 from getagrip.studio.store.labels import FrameLabels, Labels
 from getagrip.studio.store.mark_store import Store
+from helpers.clips import small_clip
 from helpers.environment import Run
 from helpers.labelled_scene import HEIGHT, WIDTH, SceneNets, circle, write_scene
+from helpers.results import true_result
 
 LABEL = ("label", "videos", "--object", "cup", "--size-mm", "90", "--out", "out", "--no-page")
 
@@ -89,6 +96,19 @@ def test_what_is_labelled_is_solved_once_and_exported(videos: Path, run: Run, mo
     assert exported[0] == exported[1] == ((Path("out/results/draft-a-1-6-left"),), "bop", Path("out/bop"))
     written = json.loads((videos.parent / "out" / "labels-draft-a-1-6-left.json").read_text("utf-8"))
     assert set(written["frames"]) == {"0", "5"}
+
+
+def test_poses_of_two_people_are_compared_in_the_frames_of_both(tmp_path: Path) -> None:
+    clip, masks = small_clip()
+    folder, result = write_clip(clip, masks, tmp_path / "clip"), true_result(clip, None)
+    shifted = result.T_hand_obj @ se3.rigid(se3.exp_so3(np.array([0.0, 0.0, np.radians(20.0)])))
+    middle = result.scale * clip.mesh.vertices.mean(axis=0)
+    shifted[:, :3, 3] += (result.T_hand_obj[:, :3, :3] - shifted[:, :3, :3]) @ middle + np.array([0.0, 0.012, 0.0])
+    for name, T in (("ann-a", result.T_hand_obj), ("bob-a", shifted)):
+        write_result(replace(result, T_hand_obj=T), tmp_path / name, input_sha256(folder), clip_folder=folder)
+    found = compare_results(tmp_path / "ann-a", tmp_path / "bob-a")
+    assert found == ("ann-a", "bob-a", len(clip), pytest.approx(12.0, abs=0.1), pytest.approx(20.0, abs=0.1))
+    assert str(found).startswith("ann-a and bob-a: 12.0 mm and 20.0 degrees apart, the medians of")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from getagrip.clip import HandTrack
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic
-from getagrip.hands.from_2d.triangulation import SeenJoints, align_hand, triangulate_joints
+from getagrip.hands.from_2d.triangulation import SeenJoints, align_hand, refit_fingers, triangulate_joints
 from getagrip.hands.model import hand_track
 
 N_FRAMES = 4
@@ -89,6 +89,22 @@ def test_frames_with_few_joints_keep_the_hands_image(hand: HandTrack) -> None:
     assert found.aligned.tolist() == [True, True, False, True]
     np.testing.assert_allclose(project(K, joints_of(found.hand)), project(K, joints_of(hand)), atol=1e-6)
     np.testing.assert_allclose(joints_of(found.hand), 1.1 * joints_of(hand), atol=1e-9)
+
+
+def test_fingers_are_where_joints_were_triangulated(hand: HandTrack) -> None:
+    """An open hand, as one view took it for, is bent as the true one; joints that are not known stay beside it."""
+    X, flat = joints_of(hand), generic.load("right").with_shape().with_pose(np.zeros((N_FRAMES, 45)))
+    aligned = align_hand(hand_track(flat, hand.T_cam_hand), X)
+    assert aligned is not None
+    seen = replace(aligned.hand, joints_2d=np.ones((N_FRAMES, 21, 2)), joints_2d_confidence=np.ones((N_FRAMES, 21)))
+    before = np.linalg.norm(joints_of(seen) - X, axis=-1)
+    X_seen = X.copy()
+    X_seen[:, [8, 12]] = np.nan
+    found = refit_fingers(seen, X_seen, "right")
+    off = np.linalg.norm(joints_of(found) - X, axis=-1)
+    assert np.delete(off, [8, 12], axis=1).mean() < 0.5 * np.delete(before, [8, 12], axis=1).mean()
+    assert off.max() < 0.03
+    np.testing.assert_array_equal(found.joints_2d, seen.joints_2d)
 
 
 def test_no_hand_has_such_a_size(hand: HandTrack) -> None:

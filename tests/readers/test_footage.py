@@ -78,6 +78,22 @@ def test_a_video_that_lies_on_its_side_is_shown_upright(tmp_path: Path, pixels: 
     assert np.abs(shown.astype(int) - upright).mean() < 6.0
 
 
+@pytest.mark.parametrize("cut", [5, 23, 30])
+def test_a_video_that_was_cut_without_encoding_it_anew_shows_each_frame(tmp_path: Path, cut: int) -> None:
+    """Its key frame lies in the part that an edit list leaves out: of a short rest, none lies in what is shown."""
+    whole, rest = write_video(tmp_path / "whole.mp4", frames=40), tmp_path / "rest.mp4"
+    with av.open(str(whole)) as source, av.open(str(rest), "w") as container:
+        stream = container.add_stream_from_template(source.streams.video[0])
+        packets = [packet for packet in source.demux(video=0) if packet.pts is not None and packet.dts is not None]
+        begin = sorted(packet.pts for packet in packets)[cut]
+        for packet in packets:
+            packet.pts, packet.dts, packet.stream = packet.pts - begin, packet.dts - begin, stream
+            container.mux(packet)
+    video = VideoFootage(rest)
+    assert video.frames == 40 - cut
+    assert [number_in(video.jpeg(n)) for n in (9, 0, 3, 8)] == [cut + 9, cut, cut + 3, cut + 8]
+
+
 def test_a_container_that_mixes_up_times_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
     """AVI has no presentation times: the wrong frames would be shown."""
     refused(lambda: VideoFootage(write_video(tmp_path / "a.avi")).jpeg(20), "convert the video")

@@ -219,6 +219,25 @@ def test_a_first_result_is_there_before_all_frames_are_filled_in(
     assert len(seen) == 3  # all is filled in
 
 
+def test_filling_in_that_is_not_wanted_any_more_ends_at_once(
+    clicking: Clicking, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also on the way back from the last key frame, on which no frame is done: what is wanted now waits for it."""
+    read, image = list[int](), VideoFootage.image
+
+    def counted(footage: VideoFootage, n: int) -> Any:
+        read.append(n)
+        if len(read) == 4:
+            clicking.project.labelling.background.cancel(clicking.about["grasp"])
+        return image(footage, n)
+
+    monkeypatch.setattr(VideoFootage, "image", counted)
+    clicking.click(FIRST, outlines=disc(FIRST))
+    clicking.click(LAST, outlines=disc(LAST))
+    assert clicking.work("propagate")["state"] == "cancelled"
+    assert len(read) == 4
+
+
 def test_kept_maps_have_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     maps = FilledMaps()
     made = [PropagatedLabels(n, np.full((20, 30), n, np.uint8), 0.5) for n in range(3)]

@@ -270,6 +270,8 @@ class Draft(Command):
         images = [path for path in names if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file()]
         if len(images) != 1:
             return self._undistorted()
+        if self.views.view:
+            raise UsageError(f"--view cannot be used with a single image ({self.video})")
         (image,) = images
         twice = files.folder_inside(self.folder, "image") / self.video.stem
         twice.mkdir(parents=True, exist_ok=True)

@@ -24,7 +24,14 @@ from getagrip.clip.views import JOINTS_FILE, VIEWS_KEY, write_view_header, write
 from getagrip.clip.write import write_hand_at
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.geometry.lens import Lens
-from getagrip.hands.from_2d.triangulation import AlignedHand, SeenJoints, align_hand, triangulate_joints
+from getagrip.hands.from_2d.landmarks import LIFTED_HANDS_NOTE
+from getagrip.hands.from_2d.triangulation import (
+    AlignedHand,
+    SeenJoints,
+    align_hand,
+    refit_fingers,
+    triangulate_joints,
+)
 from getagrip.io import files
 from getagrip.io.images import write_image
 from getagrip.io.terminal import format_count, print_note, progress_bar
@@ -142,14 +149,17 @@ class DraftedViews:
         if points is None or sure is None or not others:
             return "the hand's size is assumed: no other view shows its joints" if not others else ""
         own = SeenJoints(points, sure, clip.K, np.tile(np.eye(4), (len(clip), 1, 1)))
-        found = align_hand(clip.hand, triangulate_joints([own, *others]))
+        joints = triangulate_joints([own, *others])
+        found = align_hand(clip.hand, joints)
         if found is None:
             return "the hand's size is assumed: the joints of the views do not meet; is the calibration theirs?"
-        rows = [header.frames.index(name) for name in clip.frames]
+        rows, corrected = [header.frames.index(name) for name in clip.frames], found.hand
+        if LIFTED_HANDS_NOTE in str(clip.provenance.get("hands")):
+            corrected = refit_fingers(found.hand, joints, clip.side)
         words = _describe_alignment(found, 1 + len(others))
         sources = {HAND_SCALE_KEY: estimated(words), HAND_DISTANCE_KEY: estimated(words)}
         with files.new_file(header.folder / "hand.npz") as hand, files.new_file(header.path) as fields:
-            write_hand_at(found.hand, header.frames, rows, hand)
+            write_hand_at(corrected, header.frames, rows, hand)
             files.write_json(fields, header.changed({"provenance": header.fields["provenance"] | sources}))
         return f"hands_scale: {words}"
 

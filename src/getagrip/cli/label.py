@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 MAX_WORK_GAP_S = 30.0
 """Longer pauses between two changes are not counted as work [s]."""
-EFFORT_FILE = "effort.csv"
+EFFORT_FILE, AGREEMENT_FILE = "effort.csv", "agreement.csv"
 
 
 class Effort(NamedTuple):
@@ -44,6 +44,22 @@ class Effort(NamedTuple):
         drawn = format_count(self.drawn, "stroke or outline", "strokes and outlines")
         what = f"{drawn} on {format_count(self.frames, 'frame')}, {format_count(self.changes, 'change')}"
         return f"{self.grasp}: {what} in {self.active_s / 60:.1f} min without pauses"
+
+
+class PoseAgreement(NamedTuple):
+    """Agreement of the poses of one object by two people, in the camera: medians over the frames of both."""
+
+    first: str
+    """The grasp's name, which begins with the annotator's."""
+    second: str
+    frames: int
+    apart_mm: float
+    """Distance of the object's middle."""
+    turned_deg: float
+
+    def __str__(self) -> str:
+        off = f"{self.apart_mm:.1f} mm and {self.turned_deg:.1f} degrees apart"
+        return f"{self.first} and {self.second}: {off}, the medians of {format_count(self.frames, 'frame')}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,11 +108,12 @@ class Label(Command):
                 failed += not self._does(task.key, partial(self._mark, project, task))
             if not self.no_page:
                 serve(project, self.port, DRAFT_ANNOTATOR)
-            solved, efforts = [], []
+            solved, efforts, grasps = [], [], []
             for grasp in project.labelled():
                 shape = self._shape(project, grasp)
                 if self._does(grasp.name, partial(_reconstruct_grasp, project, grasp, shape)):
                     solved.append(self.out / "results" / grasp.name)
+                    grasps.append(grasp)
                     efforts.append(_measure_effort(project, grasp))
                     print_result(str(efforts[-1]))
         finally:
@@ -105,6 +122,16 @@ class Label(Command):
             folder = self.out / self.to
             files.write_csv(self.out / EFFORT_FILE, [Effort._fields, *efforts])
             print_result(str(Effort("in all", *(sum(each) for each in list(zip(*efforts, strict=True))[1:]))))
+            agreements = list[PoseAgreement]()
+
+            def compare(one: Path, other: Path) -> None:
+                agreements.append(compare_results(one, other))
+                print_result(str(agreements[-1]))
+
+            for n, m in _pairs_of_people(grasps):
+                self._does(grasps[m].name, partial(compare, solved[n], solved[m]))
+            if agreements:
+                files.write_csv(self.out / AGREEMENT_FILE, [PoseAgreement._fields, *agreements])
             export = Export(
                 results=tuple(solved), to=self.to, out=folder, only_right=self.only_right, overwrite=True,
                 debug=self.debug,
@@ -196,6 +223,36 @@ def _reconstruct_grasp(project: Project, grasp: Grasp, shape: RequestedMesh) -> 
     if not project.labelling.is_solved(grasp, shape):
         with progress_bar() as bar:
             print_result(project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name, calls.run_call)))
+
+
+def _pairs_of_people(grasps: Sequence[Grasp]) -> list[tuple[int, int]]:
+    """Return places of grasps of one video and hand, by two people, that have frames in common."""
+    return [
+        (n, m)
+        for (n, a), (m, b) in combinations(enumerate(grasps), 2)
+        if a.task == b.task and a.side == b.side and a.mark.annotator != b.mark.annotator
+        and max(a.extent[0], b.extent[0]) <= min(a.extent[1], b.extent[1])
+    ]  # fmt: skip
+
+
+def compare_results(first: Path, second: Path) -> PoseAgreement:
+    """Compare the results in two folders, of one video, in the frames of both. Raises ``InputError``."""
+    import numpy as np
+
+    from getagrip.geometry import se3
+    from getagrip.metrics.evaluate.results import read_result_and_clip
+
+    posed = []
+    for folder in (first, second):
+        result, clip = read_result_and_clip(folder)
+        T = clip.hand.T_cam_hand @ result.T_hand_obj
+        middle = se3.transform(T, result.scale * clip.mesh.vertices.mean(axis=0)[None])[:, 0]
+        posed.append({name: (T[n, :3, :3], middle[n]) for n, name in enumerate(result.frames)})
+    both = [(posed[0][name], posed[1][name]) for name in posed[0] if name in posed[1]]
+    apart = [1e3 * np.linalg.norm(one[1] - other[1]) for one, other in both]
+    turned = [np.degrees(se3.angle_between(one[0], other[0])) for one, other in both]
+    found = (round(float(np.median(each)), 2) if both else np.nan for each in (apart, turned))
+    return PoseAgreement(first.name, second.name, len(both), *found)
 
 
 def _measure_effort(project: Project, grasp: Grasp) -> Effort:

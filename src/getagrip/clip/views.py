@@ -171,6 +171,17 @@ def clip_in_view(clip: Clip, view: View) -> Clip:
     return with_masks(seen, view.masks)
 
 
+def rows_in_view(clip: Clip, view: View, rows: Int[ndarray, "n"]) -> Clip:
+    """Return some frames of a clip as a further camera sees them."""
+    return clip_in_view(with_views(clip, []).take(rows), view.take(rows))
+
+
+def with_packed_views(clip: Clip) -> Clip:
+    """Return the clip with the masks of its views in little memory (``Masks.in_bits``), where frames cost little."""
+    views = views_of(clip)
+    return with_views(clip, [replace(view, masks=view.masks.in_bits) for view in views]) if views else clip
+
+
 def from_best_view(clip: Clip) -> tuple[Clip, View | None]:
     """Return a clip as the view sees it that shows the object in most frames, and that view.
 

@@ -24,7 +24,7 @@ from getagrip.clip import (
     with_masks,
 )
 from getagrip.clip.masks import occluded_by_hand
-from getagrip.clip.views import View, clip_in_view, views_of, without_views
+from getagrip.clip.views import View, rows_in_view, views_of, without_views
 from getagrip.fitting.energy import Energy, Terms
 from getagrip.fitting.energy.contact import CONTACT_GRID_MARGIN_M, HandContacts, build_contact_grid, rms_distances
 from getagrip.fitting.energy.mask import GAP_SHARE, Observation, SilhouetteMesh, masks_leave_gaps, observe_masks
@@ -224,7 +224,7 @@ class ObservedView:
 
     def clip(self, clip: Clip) -> Clip:
         """Return the problem's clip as the view sees it, in the frames ``rows``."""
-        return clip_in_view(clip.take(self.rows), self.view.take(self.rows))
+        return rows_in_view(clip, self.view, self.rows)
 
 
 def observe_views(
@@ -244,7 +244,7 @@ def observe_views(
         rows = np.flatnonzero(view.masks.observed & inlier)
         if not len(rows):
             continue
-        seen, masks = clip_in_view(clip.take(rows), view.take(rows)), view.masks.take(rows)
+        seen, masks = rows_in_view(clip, view, rows), view.masks.take(rows)
         if options.occlusion and not masks.say_what_hides:
             masks = occluded_by_hand(seen, masks)
         observation = observe_masks(masks, view.K[rows], options.occlusion, gap_share)

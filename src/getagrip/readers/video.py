@@ -91,7 +91,8 @@ class VideoTiming:
 
     Attributes:
         times: times of all frames that have one, rising.
-        keys: times of the key frames, rising.
+        keys: times of the key frames, rising, also of those not shown: of a video that was cut without encoding
+            it anew, the first frames need the key frame before.
         untimed: number of frames without a time.
         base: seconds in a unit; None where the file does not say.
         start: time of the stream's begin; None where the file does not say.
@@ -114,14 +115,16 @@ def read_timing(path: Path, limit: int | None = None) -> VideoTiming:
     with _refuse_undecodable(path), open_video(path) as container:
         stream = container.streams.video[0]
         for packet in container.demux(stream):
-            if packet.size == 0 or packet.is_discard:
+            if packet.size == 0:
+                continue
+            if packet.is_keyframe and packet.pts is not None:
+                keys.add(packet.pts)
+            if packet.is_discard:
                 continue
             if packet.pts is None:
                 untimed += 1
                 continue
             times.append(packet.pts)
-            if packet.is_keyframe:
-                keys.add(packet.pts)
             if limit is not None and len(times) > limit:
                 raise InputError(path, "", f"more than {limit} frames", "a shorter video")
         base, start, rate = stream.time_base, stream.start_time, stream.average_rate

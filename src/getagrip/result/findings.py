@@ -120,7 +120,8 @@ def describe_looks(right: Probability | None, looks_right: Probability | None) -
     if looks_right is None:
         return "" if right is None else right.by_eye
     word = "right" if looks_right.value >= 0.5 else "wrong"
-    return f"probably looks {word} ({format_probability(looks_right.value)})"
+    beyond = f", extrapolated: {', '.join(looks_right.beyond)}" if looks_right.beyond else ""
+    return f"probably looks {word} ({format_probability(looks_right.value)}{beyond})"
 
 
 def format_probability(value: float) -> str:

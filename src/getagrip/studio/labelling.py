@@ -24,12 +24,14 @@ from getagrip.geometry.lens import Lens
 from getagrip.hands.from_2d.clicks import MIN_CLICKED_JOINTS
 from getagrip.io import files
 from getagrip.io.files import Json, shorten_value
+from getagrip.readers.footage import Footage
 from getagrip.studio import jobs
 from getagrip.studio.detect_grasps import boxes_of_polygons
 from getagrip.studio.hands.detect_hands import DETECTED_HANDS_FOLDER, DRAFTS_FOLDER, HandDetectionFiles
 from getagrip.studio.jobs import BackgroundJob, BackgroundQueue, Work
 from getagrip.studio.masks.filled_maps import FilledFrames, FilledMaps
 from getagrip.studio.masks.propagate_clip import keyframe_spans
+from getagrip.studio.masks.propagate_frame import Images
 from getagrip.studio.next_step import discount_confidence, lost_frames, next_step, suggest_frame
 from getagrip.studio.shown_result import ResultOutlines, describe_result, take_candidate
 from getagrip.studio.store import grasp_settings, history
@@ -348,13 +350,9 @@ class Labelling:
             if _has_clip_files(out, sum(sure > 0.0 for sure in confidence.values())):
                 return _Written(of, command, confidence)
         with closing(open_footage(grasp.path)) as footage:
-
-            def image(n: int) -> UInt8[ndarray, "H W 3"]:
-                job.report(job.done, frames)
-                return footage.image(n)
-
             made = write_labelled_clip_files(
-                value, image, lens, out, overwrite=True, done=lambda masks: job.report(masks, frames),
+                value, _cancellable(footage, job), lens, out, overwrite=True,
+                done=lambda masks: job.report(masks, frames),
                 found=self.found(grasp), name=footage.name, filled=FilledFrames(self._filled, grasp.mark.mark, words),
                 sparse=FIRST_MASKS if first else None,
             )  # fmt: skip
@@ -521,11 +519,12 @@ class Labelling:
         known = {kind: {n for n, word in rows.items() if made[kind].get(n) == word} for kind, rows in words.items()}
         wrong: UsageError | None = None
         with closing(open_footage(grasp.path)) as footage:
+            image = _cancellable(footage, job)
             if len(known["hand"]) < len(words["hand"]):
                 K, _ = compute_intrinsics(self.lens(grasp), labels.size)
                 try:
                     if labels.clicks:
-                        hands = polygon_drafts.draft_fitted_hand(labels, K, footage.image)
+                        hands = polygon_drafts.draft_fitted_hand(labels, K, image)
                     else:
                         hands = polygon_drafts.draft_detected_hand(labels, self.found(grasp))
                     drafts.put(key, "hand", words["hand"][labels.first], hands)
@@ -534,12 +533,22 @@ class Labelling:
             if len(known["masks"]) < len(words["masks"]):
                 seen = self.found(grasp).mask
                 keep = lambda made: self._filled.put(key, words["masks"][made.frame], made)  # noqa: E731
-                for n, content in polygon_drafts.draft_masks(labels, footage.image, known["masks"], seen, keep):
+                for n, content in polygon_drafts.draft_masks(labels, image, known["masks"], seen, keep):
                     drafts.put(key, "masks", words["masks"][n], {n: content | {"number": footage.number(n)}})
                     job.report(n - labels.first + 1, frames)
         if wrong is not None:
             raise wrong
         return ""
+
+
+def _cancellable(footage: Footage, job: BackgroundJob) -> Images:
+    """Return a function that reads frames until the job is cancelled: filling in reads many before one is done."""
+
+    def image(n: int) -> UInt8[ndarray, "H W 3"]:
+        job.report(job.done, job.total)
+        return footage.image(n)
+
+    return image
 
 
 def _words_by_frame(rows: Sequence[tuple[int, int, str]]) -> dict[int, str]:

@@ -133,6 +133,15 @@ def test_the_object_is_there_and_moves_with_the_slider(page: Any, folder: Path) 
     page.mouse.move(380, 420)
     page.mouse.up()
     assert (bluish(canvas(page)) != still).mean() > 0.005
+    page.get_by_role("button", name="reset view").click()
+    assert (bluish(canvas(page)) != still).mean() < 0.001
+    small = page.locator(".scene").bounding_box()["height"]
+    page.get_by_role("button", name="full screen").click()
+    until(page, "document.fullscreenElement !== null")
+    large = page.locator(".scene").bounding_box()["height"]
+    assert large > small
+    page.get_by_role("button", name="full screen").click()
+    until(page, "document.fullscreenElement === null")
 
 
 def test_the_other_hand_is_there_in_its_own_frames(page: Any, folder: Path) -> None:

@@ -278,6 +278,9 @@ def test_long_gaps_stay_gaps_and_two_people_are_said() -> None:
         assert "two hands in 20 frames: chosen is the one at (299, 401)" in note, note
         assert "in frame 1, not that at (899, 401)" in note
         assert overrules in note
+    seen = [[hand(300.0), hand(900.0, right=0.9)] for n in range(20)]
+    boxed = select_hand(seen, boxes={0: np.array([280.0, 420.0, 60.0, 60.0])}).notes[-1]
+    assert "; another --object-box or --side overrules this" in boxed, "the one that was stated does not"
 
 
 def test_no_hand_says_what_was_tried() -> None:
@@ -319,6 +322,13 @@ def test_a_box_elsewhere_is_said(frame: int, left: float, words: str) -> None:
     note = select_hand(seen, boxes={frame: np.array([left, 420.0, 60.0, 60.0])}).notes[0]
     assert words in note
     assert ("far off" in note) == (left > 800.0)
+
+
+def test_a_hand_that_reaches_for_the_object_is_not_far_off() -> None:
+    boxes = dict.fromkeys(range(40), np.array([280.0, 420.0, 60.0, 60.0]))
+    reaching = [[hand(300.0 + 40.0 * max(0, 20 - n))] for n in range(40)]
+    assert "far off" not in select_hand(reaching, boxes=boxes).notes[0]
+    assert "far off" in select_hand(reaching[:1] * 40, boxes=boxes).notes[0]
 
 
 def test_what_lies_in_the_objects_box_and_does_not_move_is_no_hand() -> None:

@@ -31,7 +31,7 @@ from getagrip import least_squares
 from getagrip.checks.evidence import Glitches
 from getagrip.clip import Clip, HandTrack, Masks
 from getagrip.clip.clip import frame_indices
-from getagrip.clip.views import View, clip_in_view, views_of
+from getagrip.clip.views import View, rows_in_view, views_of
 from getagrip.fitting.hand.hand_error_model import (
     N_RIGID_ERRORS,
     ROTATION_ERRORS,
@@ -285,7 +285,7 @@ class HandEvidence:
         out = [HandEvidence(HandSilhouette.of(clip, masks), SeenJoints.of(clip, masks), everywhere)]
         for view in views_of(clip):
             rows = np.flatnonzero(view.masks.observed)
-            seen, of_view = clip_in_view(clip.take(rows), view.take(rows)), view.masks.take(rows)
+            seen, of_view = rows_in_view(clip, view, rows), view.masks.take(rows)
             if len(rows) > 1 and in_front_of_camera(seen):
                 one = HandEvidence(HandSilhouette.of(seen, of_view), SeenJoints.of(seen, of_view), rows, view.name)
                 out += [one] if one.silhouette.mask.pixels or one.joints is not None else []

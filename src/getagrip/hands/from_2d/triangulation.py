@@ -18,6 +18,9 @@ from numpy import ndarray
 from getagrip.clip import HandTrack
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
+from getagrip.hands import generic
+from getagrip.hands.fit_joints import fit_joints
+from getagrip.hands.model import Side
 
 AGREEMENT_M = 0.02
 """Distance at the hand up to which a view agrees with a triangulated joint [m]."""
@@ -140,10 +143,21 @@ def align_hand(hand: HandTrack, X: Float[ndarray, "T 21 3"]) -> AlignedHand | No
     T[:, :3, 3] *= scale
     for n, (_, w) in fits.items():
         T[n] = _best_pose(scale * hand.joints[n, known[n]], X[n, known[n]], w)
-    regions = replace(hand, vertices=scale * hand.vertices, joints=scale * hand.joints, T_cam_hand=T)
+    moved = replace(hand, vertices=scale * hand.vertices, joints=scale * hand.joints, T_cam_hand=T)
     middle = hand.vertices.mean(axis=1, keepdims=True)
     was, now = se3.transform(hand.T_cam_hand, middle), se3.transform(T, scale * middle)
-    return AlignedHand(regions, scale, aligned, np.linalg.norm(now - was, axis=-1)[:, 0])
+    return AlignedHand(moved, scale, aligned, np.linalg.norm(now - was, axis=-1)[:, 0])
+
+
+def refit_fingers(hand: HandTrack, X: Float[ndarray, "T 21 3"], side: Side) -> HandTrack:
+    """Fit the generic hand to joints in the camera frame [m], where unknown (NaN) to those of an aligned hand.
+
+    Fingers as one view shows them are guesses along its rays. The joints in the images stay.
+    """
+    assert hand.joints is not None
+    joints = np.where(np.isfinite(X).all(axis=-1, keepdims=True), X, se3.transform(hand.T_cam_hand, hand.joints))
+    fitted = fit_joints(generic.load(side), joints, "openpose").hand
+    return replace(fitted, joints_2d=hand.joints_2d, joints_2d_confidence=hand.joints_2d_confidence)
 
 
 def _best_similarity(X: Float[ndarray, "n 3"], Y: Float[ndarray, "n 3"]) -> tuple[float, Float[ndarray, "n"]]:

@@ -290,7 +290,7 @@ def select_hand(
     Raises:
         UsageError: where no hand fits.
     """
-    boxes, boxed = boxes or {}, boxes is not None
+    boxes, boxed, another = boxes or {}, boxes is not None, "another " * bool(boxes)
     found = link_tracks(seen)
     looks = sorted((n, k) for k, track in enumerate(found) for n in _handedness_frames(track))  # in order of frames
     all_odds = [(k, odds(n, found[k].seen[n])) for n, k in looks]
@@ -322,7 +322,7 @@ def select_hand(
     if not as_stated:
         notes.append(f"a guess: {first.handedness.words}, but the side is stated")
     if boxed:
-        notes.append(_note_on_distance(first.distance(dict(sorted(boxes.items())[:1]))))
+        notes.append(_note_on_distance(first, boxes))
     if flickering:
         notes.append(f"left out, since they differ from the frames about them: {listed(flickering)}")
     if len(before) < MIN_DETECTED_FRACTION * len(hand):
@@ -333,13 +333,13 @@ def select_hand(
     if gaps := listed({*range(len(seen))} - {*hand}):
         notes.append(f"no hand in the frames {gaps} (counted from 1)")
     opposite = [track for track in found if track.side != first.side]
-    for beside, overrules in ((others, "--object-box"), (opposite, "--object-box or --side")):
+    for beside, option in ((others, "--object-box"), (opposite, "--object-box or --side")):
         also = {n: [each for track in beside if (each := track.seen.get(n)) and each.apart(hand[n])] for n in hand}
         twice = [n for n in hand if also[n]]
         if len(twice) > SECOND_PERSON_FRACTION * len(hand):
             one, other = ("at ({:.0f}, {:.0f})".format(*each.middle) for each in (hand[twice[0]], also[twice[0]][0]))
             which = f"chosen is the one {one} in frame {twice[0] + counted_from}, not that {other}"
-            notes.append(f"two hands in {format_count(len(twice), 'frame')}: {which}; {overrules} overrules this")
+            notes.append(f"two hands in {format_count(len(twice), 'frame')}: {which}; {another}{option} overrules this")
     source = measured(f"{side}, as stated") if side else first.handedness.source
     if otherwise:
         where = f"in {format_count(otherwise, 'frame')}"
@@ -347,12 +347,16 @@ def select_hand(
     return HandLandmarks(majority, *_sightings_to_arrays(hand, len(seen)), source, tuple(notes))
 
 
-def _note_on_distance(distance: float) -> str:
-    """Return the note on a hand's distance from the object where its box is stated, in sizes of the hand."""
-    if not np.isfinite(distance):
+def _note_on_distance(hand: HandTracklet, boxes: Mapping[int, Float[ndarray, "4"]]) -> str:
+    """Return the note on a hand's distance from the object, whose box is stated in the first frame of ``boxes``.
+
+    A hand may reach for the object: it is far off where it never comes near.
+    """
+    if not np.isfinite(hand.distance(dict(sorted(boxes.items())[:1]))):
         return "the object's box decides nothing: there is no hand about that frame"
     near = "of the hands that were seen, the one nearest to the object"
-    return f"{near}, but it is far off: is the object's box right?" if distance > MAX_OBJECT_BOX_DISTANCE else near
+    least = min(hand.distance({n: box}) for n, box in boxes.items())
+    return f"{near}, but it is far off: is the object's box right?" if least > MAX_OBJECT_BOX_DISTANCE else near
 
 
 def _candidate_tracks(

@@ -152,7 +152,7 @@ function drawVerdict(result, asked) {
   $("show-result").checked = results.isShown();
   drawCandidates(result, job);
   $("outdated").hidden = result.current && !result.first;
-  $("outdated").textContent = !result.current ? "Of earlier labels: reconstruct again." : busy() ? "A first result, of the masks of a few frames: it is made again when all are filled in." : "A first result, of the masks of a few frames: reconstruct again for that of all.";
+  $("outdated").textContent = !result.current ? (busy() ? "Of earlier labels: a new result is being made." : "Of earlier labels: reconstruct again.") : busy() ? "A first result, of the masks of a few frames: it is made again when all are filled in." : "A first result, of the masks of a few frames: reconstruct again for that of all.";
   $("findings").hidden = !findings.length;
   $("findings").firstElementChild.textContent = `${many(findings.length, "finding")}${serious ? `, ${serious} serious` : ""}`;
   const rows = findings.map(({ message, serious: worse, steps }) => element("li", { className: worse ? "serious" : "" }, message, element("span", { className: "buttons" }, ...buttons(steps))));

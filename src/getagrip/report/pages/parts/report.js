@@ -143,6 +143,10 @@ function options(columns, eye, { colours, near }) {
     });
     parts.push(element("span", {}, box("contact", "contact within", false), within, value));
   }
+  const press = (words, title, onclick) => parts.push(element("button", { type: "button", title, onclick }, words));
+  press("reset view", "or a double click on the 3D view", () => eye.reset());
+  const main = document.querySelector("main"), whole = () => (document.fullscreenElement ? document.exitFullscreen() : main.requestFullscreen());
+  if (document.fullscreenEnabled) press("full screen", "on and off", whole);
   byId("options").replaceChildren(...parts);
 }
 
