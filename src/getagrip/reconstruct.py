@@ -36,7 +36,7 @@ from getagrip.fitting.problem import MethodResult, Problem, prepare_problem
 from getagrip.fitting.solver.solve import minimise
 from getagrip.fitting.stages.confidence import VIEWS_SIGN, hand_alternatives, probabilities, solved_of
 from getagrip.fitting.stages.distance import distance_interval
-from getagrip.fitting.stages.loose_ends import meets_firm_frames_better, without_loose_ends
+from getagrip.fitting.stages.loose_ends import meets_firm_frames, without_loose_ends
 from getagrip.fitting.stages.remaining_frames import SolutionTrack, at_sampled_frames, extend_to_every_frame
 from getagrip.fitting.stages.robust_masks import fit_without_outliers, image_iou
 from getagrip.fitting.stages.texture import prefer_texture
@@ -144,7 +144,7 @@ def reconstruct(
                 in_firm_frames = kind(firm)
                 in_firm_frames.search(clock)
                 found = in_firm_frames.fit_all_frames(clock)
-                if meets_firm_frames_better(found, answer):
+                if meets_firm_frames(found, answer):
                     source, pipeline, answer = firm, in_firm_frames, found
             judgement = pipeline.judge()
             clock("check of the result")

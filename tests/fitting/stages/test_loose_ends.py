@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from getagrip.clip import Clip, Masks
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import FrameSolutions, RepairedInput
-from getagrip.fitting.stages.loose_ends import N_FIRM_FRAMES, firm_rows, without_loose_ends
+from getagrip.fitting.stages.loose_ends import N_FIRM_FRAMES, firm_rows, meets_firm_frames, without_loose_ends
 from getagrip.provenance import assumed, estimated
 from getagrip.reconstruct import reconstruct
 from getagrip.synthetic.scene import SceneOptions, synthesise
@@ -55,6 +55,14 @@ def test_frames_at_the_ends_whose_masks_no_stable_grasp_meets_are_left_out_and_s
 )
 def test_other_hands_given_intervals_and_other_methods_keep_all_frames(clip: Clip, options: Options) -> None:
     assert shortened(clip, LOOSE, options) is None
+
+
+@pytest.mark.parametrize(("now", "kept"), [(0.96, True), (0.95, True), (0.94, False), (np.nan, False)])
+def test_a_fit_to_the_firm_frames_that_meets_them_less_is_not_kept(now: float, kept: bool) -> None:
+    """Fewer frames may find the mirror image of a plate."""
+    before = SimpleNamespace(track=SimpleNamespace(frames=CLIP.frames, iou=np.array(LOOSE)))
+    firm = SimpleNamespace(track=SimpleNamespace(frames=CLIP.frames[4:13], iou=np.full(9, now)))
+    assert meets_firm_frames(cast(FrameSolutions, firm), cast(FrameSolutions, before)) == kept
 
 
 def test_frames_that_are_met_less_within_the_grasp_stay() -> None:
