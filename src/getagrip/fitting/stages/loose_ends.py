@@ -24,7 +24,7 @@ N_FIRM_FRAMES = 3
 MIN_KEPT_FRACTION, MIN_KEPT_FRAMES = 0.5, 8
 """Minimum fraction and number of a clip's frames that remain; where less would, all are used."""
 MAX_FIRM_LOSS = 0.005
-"""Mean IOU over the firm frames that a fit to these alone may lose; on one rendered plate, turned over, it lost 0.014."""
+"""Mean IOU over the firm frames that a fit to these alone may lose; of a rendered plate, turned over, it lost 0.014."""
 LOOSE_ENDS_NOTE = (
     "used are the frames {} to {}: no stable grasp meets the masks of the {} others, at the clip's ends; "
     "--given-interval uses all"
