@@ -187,7 +187,7 @@ class FilmStage:
         f = size / (FILM_FRAMING_FACTOR * float((high - low).max()))
         K = np.array([[f, 0.0, size / 2.0], [0.0, f, size / 2.0], [0.0, 0.0, 1.0]])
         K[:2, 2] -= f * (low + high) / 2.0
-        height, ground = _ground_height(view), tuple[Mesh3, ...]()
+        height, ground = view.ground_height(), tuple[Mesh3, ...]()
         if world.up is not None and height is not None:
             ground = (_ground_mesh(seen, T_eye_world[0, :3], world.up, height),)
         return FilmStage(view, world.T_world_cam, T_eye_world, K, size, world.up, height, ground)
@@ -261,18 +261,6 @@ def _visible_fraction(view: View, T_eye_world: Float[ndarray, "4 4"], T_world_ca
         part, alone = (nearest_surface(surfaces, K, size) for surfaces in ([grasped, hand], [grasped]))
         shares.append(np.count_nonzero(part == 0) / (np.count_nonzero(alone == 0) or 1))
     return float(np.mean(shares))
-
-
-def _ground_height(view: View) -> float | None:
-    """Return the ground's height along up [m]: the clip's support, else the lowest point of the static object."""
-    clip, world = view.clip, view.clip.world
-    if world is None or world.up is None:
-        return None
-    if world.support is not None:
-        return world.support
-    rows = [int(n) for s in clip.segments if s.state == "static" for n in s.rows]
-    lowest = [float((se3.transform(world.T_world_cam[n], view.object(n)) @ world.up).min()) for n in rows]
-    return float(np.median(lowest)) if lowest else None
 
 
 def _ground_mesh(

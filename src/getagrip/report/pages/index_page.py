@@ -135,7 +135,7 @@ def write_index(
         "counts": {kind: counts[kind] for kind in ("results", "failed", "left")},
         "version": __version__,
     }
-    files.write_text(path, build_document(title, "index.html", ("page.js", "index.js"), data))
+    files.write_text(path, build_document(title, "index.html", ("page.js", "histograms.js", "index.js"), data))
     return path
 
 

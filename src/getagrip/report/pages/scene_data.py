@@ -96,7 +96,8 @@ def constant_arrays(candidates: Sequence[View], surface: Mesh) -> dict[str, ndar
     Metres; poses are 4x4 matrices of all frames. ``object_vertices`` are unscaled. ``other_hand_known`` is 1
     in the frames of the other hand. ``focus`` is the point to look at, in each camera frame; ``extent`` the approximate
     diameter of hands and object together. ``T_cam_views`` has the poses of the further cameras in each frame,
-    ``camera_corners`` the corners of the images at a distance of 1, first of the clip's own camera.
+    ``camera_corners`` the corners of the images at a distance of 1, first of the clip's own camera. ``ground_height`` is
+    that of the ground along ``world_up``, where known.
     """
     view = candidates[0]
     clip, result = view.clip, view.result
@@ -129,6 +130,8 @@ def constant_arrays(candidates: Sequence[View], surface: Mesh) -> dict[str, ndar
         out["T_world_cam"] = clip.world.T_world_cam
         if clip.world.up is not None:
             out["world_up"] = clip.world.up
+        if view.posed and (height := view.ground_height()) is not None:
+            out["ground_height"] = np.array([height])
     if clip.truth is not None and not view.of_truth:
         out |= {"true_T_cam_obj": clip.truth.T_cam_obj, "true_scale": np.array([clip.truth.scale])}
         out["true_T_cam_hand"] = clip.truth.T_cam_hand

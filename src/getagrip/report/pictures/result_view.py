@@ -96,6 +96,17 @@ class View:
         T_cam_obj = self.clip.hand.T_cam_hand[n] @ self.result.T_hand_obj[n]
         return se3.transform(T_cam_obj, self.result.scale * self.clip.mesh.vertices)
 
+    def ground_height(self) -> float | None:
+        """Return the ground's height along up [m]: the clip's support, else the lowest point of the static object."""
+        clip, world = self.clip, self.clip.world
+        if world is None or world.up is None:
+            return None
+        if world.support is not None:
+            return world.support
+        rows = [int(n) for s in clip.segments if s.state == "static" for n in s.rows]
+        lowest = [float((se3.transform(world.T_world_cam[n], self.object(n)) @ world.up).min()) for n in rows]
+        return float(np.median(lowest)) if lowest else None
+
     def surface(self, n: int) -> Surface:
         """Return the object in the camera frame [m]; an empty surface where the frame has no mesh."""
         if self.frame_meshes is None:

@@ -1,11 +1,11 @@
 "use strict";
 // A column of the page: what is said of a result, its 3D view, and its image with contours.
 
-/** A labelled box that is on or off. */
-function toggle(words, on, change, colour) {
-  const box = element("input", { type: "checkbox", onchange: () => change(box.checked) });
+/** A labelled box that is on or off; `key` of the keyboard turns it as well. */
+function toggle(words, on, change, { colour, key } = {}) {
+  const box = element("input", { type: "checkbox", "aria-keyshortcuts": key, onchange: () => change(box.checked) });
   box.checked = on;
-  const label = element("label", {}, box, words);
+  const label = element("label", { title: key }, box, words);
   if (colour) label.style.setProperty("--key", colour);
   if (colour) label.className = "keyed";
   return label;
@@ -91,7 +91,7 @@ class Column {
     const checks = [...new Set(found.map(({ check }) => check))].join(", ");
     const summary = element("summary", {}, element("b", {}, `${found.length} ${words}${found.length > 1 ? "s" : ""}`), ` ${checks}`);
     const messages = found.map(({ check, message }) => element("li", {}, element("b", {}, check), ` ${message}`));
-    this.part(".warnings").append(element("details", { class: kind, open: kind === "serious" }, summary, element("ul", {}, ...messages)));
+    this.part(".warnings").append(element("details", { class: kind, open: kind === "serious" }, summary, element("ul", { tabindex: 0 }, ...messages)));
   }
 
   /** The footage of a further view; a click on its name looks from its camera. */
@@ -175,7 +175,11 @@ class Column {
 
   /** Show or hide a part, in 3D and among the contours. */
   turn(name, on) {
-    if (this.viewer) this.viewer.shown[name] = on;
+    if (this.viewer) {
+      this.viewer.shown[name] = on;
+      this.part(".measures").textContent = this.viewer.measures();
+      this.part(".measures").hidden = !this.viewer.measures();
+    }
     for (const footage of [this.footage, ...this.views.map((view) => view.footage)]) footage.turn(name, on);
   }
 }

@@ -23,21 +23,28 @@ function unitOf({ unit }) {
 const hasFailed = (row) => row.flags.includes("failed");
 const flagsOf = (row) => row.problem && !hasFailed(row) && !row.flags.includes("left") ? [...row.flags, "unread"] : row.flags;
 
-/** The rows that the filters leave, in the order that is chosen: failed ones first, or last; those without a value last. */
-function chosen() {
-  const words = byId("words").value.toLowerCase().split(/\s+/), set = byId("sets").value, flag = byId("flags").value;
+const textOf = new Map(data.rows.map((row) => [row, [row.clip, row.method, row.folder, row.status, row.problem, ...row.warnings].join(" ").toLowerCase()]));
+
+/** Whether a row has a flag, or any, or none. */
+function flagged(row, flag) {
+  const flags = flagsOf(row);
+  return flag === "any" || (flag === "none" ? flags.length === 0 : flags.includes(flag));
+}
+
+/** The rows that the fields leave, but for flags and histograms. */
+function found() {
+  const words = byId("words").value.toLowerCase().split(/\s+/), set = byId("sets").value;
+  return data.rows.filter((row) => (set === "*" || row.set === set) && words.every((word) => textOf.get(row).includes(word)));
+}
+
+/** Rows in the order that is chosen: failed ones first, or last; those without a value last. */
+function sorted(rows) {
   const by = column(byId("by").value), sign = (by.more ? 1 : -1) * (byId("order").value === "worst" ? 1 : -1);
-  const rows = data.rows.filter((row) => {
-    const text = [row.clip, row.method, row.folder, row.status, row.problem, ...row.warnings].join(" ").toLowerCase();
-    const flags = flagsOf(row);
-    const flagged = flag === "any" || (flag === "none" ? flags.length === 0 : flags.includes(flag));
-    return flagged && (set === "*" || row.set === set) && words.every((word) => text.includes(word));
-  });
   const value = (row) => row.values[by.name] ?? null, worst = byId("order").value === "worst" ? 1 : -1;
   return rows.sort((a, b) => {
     if (hasFailed(a) !== hasFailed(b)) return worst * (hasFailed(b) - hasFailed(a));
     if (value(a) === null || value(b) === null) return (value(a) === null) - (value(b) === null);
-    return sign * (value(a) - value(b)) || a.folder.localeCompare(b.folder);
+    return sign * (value(a) - value(b)) || (a.folder < b.folder ? -1 : 1);
   });
 }
 
@@ -50,9 +57,48 @@ function linked(row, ...children) {
   return row.link ? element("a", { href: row.link }, ...children) : element("span", {}, ...children);
 }
 
-const picture = (row) => row.thumbnail ? element("img", { src: `data:image/jpeg;base64,${row.thumbnail}`, alt: "" }) : "";
+const picture = (row) => row.thumbnail ? element("img", { src: `data:image/jpeg;base64,${row.thumbnail}`, alt: "", decoding: "async" }) : "";
 const title = (row) => row.clip || row.folder;
 const about = (row) => [row.set || row.method, row.problem].filter(Boolean).join(": ");
+
+const BLOCK = 24, GUESS = 90;  // rows that are drawn at once, a multiple of the gallery's columns, and their height before one was [px]
+let watching = null;
+
+function tall(tag, height) {
+  const made = element(tag);
+  made.style.height = `${height}px`;
+  return made;
+}
+
+/** Elements for blocks of rows, each drawn while it is near the window, and else as tall as it was, or as others are. */
+function inBlocks(rows, draw, blank) {
+  watching?.disconnect();
+  const blocks = new Map();
+  const swap = (old, made, block) => {
+    blocks.delete(old);
+    watching.unobserve(old);
+    old.replaceWith(made);
+    blocks.set(made, block);
+    watching.observe(made);
+  };
+  watching = new IntersectionObserver((seen) => {
+    for (const { target, isIntersecting, boundingClientRect: { height } } of seen) {
+      const block = blocks.get(target);
+      if (!block || isIntersecting === block.drawn) continue;
+      if (block.drawn) block.height = height;
+      block.drawn = isIntersecting;
+      swap(target, isIntersecting ? draw(block.rows) : blank(block.height), block);
+    }
+  }, { rootMargin: "1200px 0px" });
+  const made = [];
+  for (let first = 0; first < rows.length; first += BLOCK) {
+    const some = rows.slice(first, first + BLOCK), drawn = first === 0;
+    made.push(drawn ? draw(some) : blank(GUESS * some.length));
+    blocks.set(made.at(-1), { rows: some, drawn, height: GUESS * some.length });
+  }
+  for (const one of made) watching.observe(one);
+  return made;
+}
 
 function table(rows) {
   const by = byId("by").value;
@@ -67,25 +113,31 @@ function table(rows) {
       show();
     },
   }, one.name, element("small", {}, ` ${unitOf(one)}`))));
-  const lines = rows.map((row) => element("tr", {},
+  const line = (row) => element("tr", {},
     element("td", { class: "thumbnail" }, linked(row, picture(row))),
     element("td", { class: "name" }, linked(row, title(row)), element("small", {}, about(row)), element("div", {}, ...badges(row)),
       ...row.warnings.map((words) => element("small", { class: "warning" }, words))),
-    ...data.columns.map((one) => element("td", { class: one.name === by ? "value by" : "value" }, number(row.values[one.name], one)))));
-  return element("table", { class: "rows" }, element("thead", {}, element("tr", {}, element("th"), element("th"), ...heads)), element("tbody", {}, ...lines));
+    ...data.columns.map((one) => element("td", { class: one.name === by ? "value by" : "value" }, number(row.values[one.name], one))));
+  const blocks = inBlocks(rows, (some) => element("tbody", {}, ...some.map(line)), (height) => element("tbody", {}, element("tr", { "aria-hidden": "true" }, tall("td", height))));
+  const head = element("tr", {}, element("th", { class: "thumbnail" }, "picture"), element("th", { class: "name" }, "result"), ...heads);
+  return element("table", { class: "rows", "aria-rowcount": rows.length + 1 }, element("thead", {}, head), ...blocks);
 }
 
 function gallery(rows) {
   const by = column(byId("by").value);
-  return element("div", { class: "gallery" }, ...rows.map((row) => element("figure", {}, linked(row, picture(row)),
+  const figure = (row) => element("figure", {}, linked(row, picture(row)),
     element("figcaption", {}, linked(row, title(row)), element("b", {}, `${number(row.values[by.name], by)} ${unitOf(by)}`),
-      element("small", {}, about(row)), element("div", {}, ...badges(row))))));
+      element("small", {}, about(row)), element("div", {}, ...badges(row))));
+  return element("div", {}, ...inBlocks(rows, (some) => element("div", { class: "gallery" }, ...some.map(figure)), (height) => tall("div", height)));
 }
 
 /** Means of shares and medians of the rest, of each set of the rows that are shown. */
 function summary(rows) {
   const sets = new Map();
-  for (const row of rows.filter((one) => one.clip)) sets.set(row.set, [...(sets.get(row.set) || []), row]);
+  for (const row of rows.filter((one) => one.clip)) {
+    if (!sets.has(row.set)) sets.set(row.set, []);
+    sets.get(row.set).push(row);
+  }
   if (sets.size === 0) return "";
   const middle = (values) => {
     const sorted = [...values].sort((a, b) => a - b), half = Math.floor(sorted.length / 2);
@@ -113,8 +165,41 @@ function facts(rows) {
   return `${words.join(", ")}.${rows.some((row) => row.thumbnail) ? " Pictures show the frame of the lowest IOU." : ""}`;
 }
 
+const FIELDS = ["words", "sets", "flags", "by", "order", "form"];
+
+/** Keep what is chosen in the address, so that it can be sent, and is back when one comes back from a result. */
+function keepChosen() {
+  const chosen = FIELDS.filter((id) => byId(id).value !== usual[id]).map((id) => [id, byId(id).value]);
+  const hash = new URLSearchParams([...chosen, ...chosenBars]).toString();
+  history.replaceState(null, "", hash ? `#${hash}` : location.pathname + location.search);
+}
+
+/** Choose what the address says, as far as it can be chosen here. */
+function readChosen() {
+  const said = new URLSearchParams(location.hash.slice(1));
+  for (const id of FIELDS) {
+    const value = said.get(id) ?? usual[id], known = byId(id).options;
+    byId(id).value = !known || [...known].some((one) => one.value === value) ? value : usual[id];
+  }
+  chosenBars.clear();
+  for (const { name, firsts } of HISTOGRAMS) {
+    if (said.has(name) && firsts.includes(Number(said.get(name)))) chosenBars.set(name, Number(said.get(name)));
+  }
+}
+
+let usual = {};
+
 function show() {
-  const rows = chosen();
+  const all = found(), flag = byId("flags").value, some = all.filter((row) => flagged(row, flag));
+  const rows = sorted(some.filter((row) => inBars(row)));
+  const flags = [...byId("flags").options].slice(1), inAll = all.filter((row) => inBars(row));
+  const counts = flags.map(({ value, text }) => ({ flag: value, words: text, count: inAll.filter((row) => flagged(row, value)).length }));
+  const press = (value) => {
+    byId("flags").value = value;
+    show();
+  };
+  showHistograms([...HISTOGRAMS.map((one) => histogram(one, some.filter((row) => inBars(row, one)), show)), flagBars(counts, flag, press)]);
+  keepChosen();
   byId("facts").textContent = facts(rows);
   byId("summary").replaceChildren(summary(rows));
   byId("rows").replaceChildren(byId("form").value === "table" ? table(rows) : gallery(rows));
@@ -133,7 +218,13 @@ function start() {
   options("flags", Object.entries(FLAGS).filter(([flag]) => ["any", "none"].includes(flag) || used.has(flag)));
   options("by", data.columns.map(({ name }) => [name, name]));
   if (column(data.first)) byId("by").value = data.first;
-  for (const id of ["words", "sets", "flags", "by", "order", "form"]) byId(id).addEventListener("input", show);
+  usual = Object.fromEntries(FIELDS.map((id) => [id, byId(id).value]));
+  for (const id of FIELDS) byId(id).addEventListener("input", show);
+  addEventListener("hashchange", () => {
+    readChosen();
+    show();
+  });
+  readChosen();
   const tables = data.tables.flatMap(({ name, link }) => [element("a", { href: link }, name), " "]);
   byId("footer").append(`getagrip ${data.version}. `, ...(tables.length ? ["Tables: ", ...tables] : []));
   show();

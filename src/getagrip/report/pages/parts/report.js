@@ -12,8 +12,10 @@ class Player {
     byId("back").onclick = () => this.step(-1);
     byId("forth").onclick = () => this.step(1);
     document.onkeydown = (event) => {
-      if (["INPUT", "SELECT", "BUTTON", "SUMMARY"].includes(event.target.tagName) || event.ctrlKey || event.metaKey) return;
-      const act = { " ": () => byId("play").click(), ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1) }[event.key];
+      if (event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "SELECT") return;
+      const pressed = document.querySelector(`[aria-keyshortcuts="${CSS.escape(event.key)}"]:not([hidden])`);  // of letters, wherever the focus is
+      const moves = { " ": () => byId("play").click(), ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1) };
+      const act = pressed ? () => pressed.click() : !["INPUT", "BUTTON", "SUMMARY"].includes(event.target.tagName) && moves[event.key];
       if (!act) return;
       event.preventDefault();
       act();
@@ -98,11 +100,26 @@ function segmentBar({ frames, segments }, player) {
   const boxes = segments.map(({ words, colour, first, last: end }) => {
     const box = element("button", { type: "button", title: words, onclick: () => player.jump(first) }, words);
     const [left, right] = [share(at(first)), share(at(end + 1))];
-    Object.assign(box.style, { left: `${100 * left}%`, width: `${100 * (right - left)}%`, background: colour });
+    Object.assign(box.style, { left: `${100 * left}%`, width: `${100 * (right - left)}%`, borderTopColor: colour });
     return box;
   });
   byId("segments").replaceChildren(...boxes);
   byId("segments").hidden = segments.length === 0;
+}
+
+/** Whether the reader left something on, on any page before, where the browser may remember. */
+function keeps(name) {
+  try {
+    return localStorage.getItem(`getagrip-${name}`) === "on";
+  } catch {
+    return false;
+  }
+}
+
+function keep(name, on) {
+  try {
+    localStorage.setItem(`getagrip-${name}`, on ? "on" : "off");
+  } catch { /* it is forgotten with the page */ }
 }
 
 /** What is shown, and what stands still, in all columns alike. */
@@ -111,14 +128,15 @@ function options(columns, eye, { colours, near }) {
   const needs = { camera: "hand_faces", hand: "hand_faces", object: "object_faces", world: "T_world_cam" };
   const stands = Object.keys(needs).filter((name) => all(needs[name])).map((name) => [name, `the ${name}`]);
   stands.push(...columns[0].said.views.map((name, k) => [`view ${k}`, name]));  // all columns show one clip
-  const box = (name, words, on, colour) => {
+  const box = (name, words, on, colour, key) => {
     const turn = (checked) => {
       for (const column of columns) column.turn(name, checked);
       if (name === "cameras") eye.showCameras(checked);
+      if (key) keep(name, checked);
       eye.ask();
     };
     turn(on);
-    return toggle(words, on, turn, colour);
+    return toggle(words, on, turn, { colour, key });
   };
   const seenFrom = choice("seen from", stands, (value) => eye.standIn(value)), parts = [seenFrom];
   eye.choose = (stand) => {
@@ -143,11 +161,11 @@ function options(columns, eye, { colours, near }) {
     });
     parts.push(element("span", {}, box("contact", "contact within", false), within, value));
   }
-  const press = (words, title, onclick) => parts.push(element("button", { type: "button", title, onclick }, words));
-  press("reset view", "or a double click on the 3D view", () => eye.reset());
-  const main = document.querySelector("main"), whole = () => (document.fullscreenElement ? document.exitFullscreen() : main.requestFullscreen());
-  if (document.fullscreenEnabled) press("full screen", "on and off", whole);
+  parts.push(box("grid", "grid", keeps("grid"), "", "g"), box("axes", "axes x, y, z", keeps("axes"), "", "a"));
   byId("options").replaceChildren(...parts);
+  byId("reset").onclick = () => eye.reset();
+  byId("whole").onclick = () => (document.fullscreenElement ? document.exitFullscreen() : document.querySelector("main").requestFullscreen());
+  byId("whole").hidden = !document.fullscreenEnabled;
 }
 
 /** Curves of all columns, those of one title in one plot. */
@@ -178,6 +196,7 @@ async function show(shown, source) {
   const arrays = await Promise.all(shown.columns.map((said) => unpack(said.arrays, said.packed)));
   if (mine !== opened) return;
   byId("name").textContent = shown.clip;
+  byId("method").textContent = several ? "" : shown.columns[0].label;
   byId("columns").replaceChildren();
   document.body.classList.toggle("several", several);
   document.body.style.setProperty("--columns", Math.min(shown.columns.length, 4));

@@ -5,8 +5,9 @@
 
 const SHOWN = {
   object: [0.44, 0.58, 0.69], hand: [0.87, 0.72, 0.63], contact: [0.784, 0.333, 0.239], truth: [0.3, 0.33, 0.36],
-  axis: [0.165, 0.616, 0.561], hidden: [0.66, 0.88, 0.835],
+  axis: [0.165, 0.616, 0.561], hidden: [0.66, 0.88, 0.835], grid: [0.545, 0.565, 0.584],
 };
+const AXES = [[0.85, 0.2, 0.17], [0.2, 0.62, 0.26], [0.2, 0.42, 0.88]];  // x, y, z
 const CAMERAS = ["#7d858c", "#2a7f9e", "#d19a2a", "#7b5ea7", "#4f8a4f", "#c8553d", "#a0466f", "#5277a8"];  // the clip's own first
 const cameraColour = (k) => CAMERAS[k && 1 + ((k - 1) % (CAMERAS.length - 1))];
 const redGreenBlue = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
@@ -118,10 +119,8 @@ function rod(from, to, radius, sides = 12) {
   return [new Float32Array(vertices), new Uint16Array(faces)];
 }
 
-/** Rods along what a camera sees, from it to the corners of its image at a depth, and around the image. */
-function frustum(corners, depth, radius) {
-  const ends = [0, 1, 2, 3].map((k) => [0, 1, 2].map((x) => depth * corners[3 * k + x]));
-  const edges = ends.flatMap((end, k) => [[[0, 0, 0], end], [end, ends[(k + 1) % 4]]]);
+/** Rods between pairs of points, in one mesh. */
+function rods(edges, radius) {
   const vertices = [], faces = [];
   for (const [from, to] of edges) {
     const [points, corners] = rod(from, to, radius, 6), before = vertices.length / 3;
@@ -129,6 +128,23 @@ function frustum(corners, depth, radius) {
     faces.push(...corners.map((id) => id + before));
   }
   return [new Float32Array(vertices), new Uint16Array(faces)];
+}
+
+/** Edges along what a camera sees, from it to the corners of its image at a depth, and around the image. */
+function frustum(corners, depth) {
+  const ends = [0, 1, 2, 3].map((k) => [0, 1, 2].map((x) => depth * corners[3 * k + x]));
+  return ends.flatMap((end, k) => [[[0, 0, 0], end], [end, ends[(k + 1) % 4]]]);
+}
+
+/** Edges of a level grid around a point: `up` is a unit vector, `side` the length of a square, of which `count` lie on each
+ * side of the point; their corners are whole squares away from the frame's origin. */
+function grid(middle, up, height, side, count) {
+  const other = Math.abs(up[0]) < 0.6 ? [1, 0, 0] : [0, 0, 1], across = cross(up, other);
+  const u = across.map((value) => value / Math.hypot(...across)), v = cross(up, u);
+  const [a, b] = [u, v].map((along) => Math.round(dot(along, middle) / side));
+  const point = (i, j) => [0, 1, 2].map((x) => side * ((a + i) * u[x] + (b + j) * v[x]) + height * up[x]);
+  const lines = Array.from({ length: 2 * count + 1 }, (_, k) => k - count);
+  return lines.flatMap((k) => [[point(k, -count), point(k, count)], [point(-count, k), point(count, k)]]);
 }
 
 /** A surface on the graphics card. */

@@ -1,11 +1,15 @@
 "use strict";
 // The 3D view of a result: what stands where in a frame, and the eye that looks at it.
 
+const MEASURED = 40;  // frames at most in which the object's lowest point is sought
+
 /** Where one looks from, alike in all columns, which stand in a frame of their own each. */
 class Eye {
   /** `near` tells how far the distances of surfaces are known; `extent` is the largest of what is looked at [m]. */
   constructor(near, extent) {
     Object.assign(this, { near, extent, reach: 0, contact: near.at, stand: "camera", viewers: [] });
+    this.square = extent < 0.5 ? 0.05 : 0.1;
+    this.squares = Math.min(20, Math.ceil((1.5 * extent) / this.square));  // of the grid, on each side
     this.reset();
   }
 
@@ -71,6 +75,9 @@ class Viewer {
       });
     }
     if (arrays.T_cam_views) this.cameras = this.frusta(surface);
+    this.ground = this.findGround();
+    this.grid = this.barred(surface, grid(this.ground.middle, this.ground.up, this.ground.height, eye.square, eye.squares), 0.0016);
+    this.directions = [0, 1, 2].map((k) => this.barred(surface, [[[0, 0, 0], [0, 1, 2].map((x) => (x === k ? 0.3 * eye.extent : 0))]], 0.006));
     eye.viewers.push(this);
     this.settle();
     this.listen();
@@ -101,11 +108,45 @@ class Viewer {
     const away = (k) => Math.hypot(...applied(inverse(this.T_cam_view(k, middle)), look));
     eye.reach = Math.max(eye.reach, ...Array.from({ length: n_cameras }, (_, k) => away(k)));
     return Array.from({ length: n_cameras }, (_, k) => {
-      const [vertices, faces] = frustum(block(arrays.camera_corners, k), 0.12 * eye.reach, 0.006 * eye.reach);
-      const camera = surface(faces);
-      camera.move(vertices);
-      return camera;
+      const edges = frustum(block(arrays.camera_corners, k), 0.12 * eye.reach);
+      return this.barred(surface, edges, (0.006 * eye.reach) / eye.extent);
     });
+  }
+
+  /** Bars along edges, of a radius as a share of the extent. */
+  barred(surface, edges, radius) {
+    const [vertices, faces] = rods(edges, radius * this.eye.extent), made = surface(faces);
+    made.move(vertices);
+    return made;
+  }
+
+  /** The level on which the grid lies, in the world where its up is known, else in the camera frame: at the ground, else at
+   * the lowest point of the object in any frame; without an object, of the place to look at. */
+  findGround() {
+    const { arrays } = this, frames = arrays.focus.shape[0], known = Boolean(arrays.world_up);
+    const up = known ? [...arrays.world_up].map((value) => value / Math.hypot(...arrays.world_up)) : [0, -1, 0];
+    const T_ground_cam = (n) => (known ? [...this.at("T_world_cam", n)] : IDENTITY);
+    const middle = applied(T_ground_cam(Math.floor(frames / 2)), this.at("focus", Math.floor(frames / 2)));
+    if (arrays.ground_height) return { known, up, middle, height: arrays.ground_height[0], at: "on the ground" };
+    if (!this.object) return { known, up, middle, height: dot(up, middle) - 0.5 * this.eye.extent, at: "below the hand" };
+    const scale = arrays.scale[0], points = arrays.object_vertices;
+    let height = Infinity;
+    for (let n = 0; n < frames; n += Math.max(1, Math.floor(frames / MEASURED))) {
+      const T = product(T_ground_cam(n), product([...this.at("T_cam_hand", n)], this.inHand(n)));
+      const rise = [0, 1, 2].map((x) => scale * (up[0] * T[x] + up[1] * T[4 + x] + up[2] * T[8 + x]));
+      let lowest = Infinity;
+      for (let v = 0; v < points.length; v += 3) lowest = Math.min(lowest, rise[0] * points[v] + rise[1] * points[v + 1] + rise[2] * points[v + 2]);
+      height = Math.min(height, lowest + up[0] * T[3] + up[1] * T[7] + up[2] * T[11]);
+    }
+    return { known, up, middle, height, at: "at the object's lowest point" };
+  }
+
+  /** What is drawn to measure by, in words. */
+  measures() {
+    const words = [];
+    if (this.shown.grid) words.push(`squares of ${Math.round(100 * this.eye.square)} cm ${this.ground.at}${this.ground.known ? "" : ", level with the camera"}`);
+    if (this.shown.axes) words.push(`axes of ${this.object ? "object and " : ""}camera: x red, y green, z blue`);
+    return words.join("; ");
   }
 
   /** The pose of a camera in the frame of the clip's own one, which is camera 0. */
@@ -204,7 +245,10 @@ class Viewer {
     if (shown.cameras) {
       this.cameras.forEach((camera, k) => this.part(camera, product(T_eye_cam, this.T_cam_view(k)), redGreenBlue(cameraColour(k)), { lit: 0 }));
     }
+    if (shown.grid) this.part(this.grid, this.ground.known ? product(T_eye_cam, inverse([...this.at("T_world_cam")])) : T_eye_cam, SHOWN.grid, { lit: 0 });
+    if (shown.axes) this.three(T_eye_cam);
     if (!this.object) return;
+    if (shown.axes) this.three(product(T_eye_hand, this.inHand()));
     const T_eye_obj = scaled(product(T_eye_hand, this.inHand()), arrays.scale[this.candidate]);
     if (shown.object) this.part(this.object, T_eye_obj, SHOWN.object, { coloured, painted: Boolean(arrays.object_colours) });
     const axis = shown.axis && this.axes && this.axes[this.candidate];
@@ -220,6 +264,12 @@ class Viewer {
       this.ghost(this.object, scaled(product(T_eye_cam, [...this.at("true_T_cam_obj")]), arrays.true_scale[0]));
       if (this.moving.true_hand_vertices) this.ghost(this.trueHand, product(T_eye_cam, [...this.at("true_T_cam_hand")]));
     }
+  }
+
+  /** The axes of a frame, as large on the screen as if they were where one looks, or smaller. */
+  three(T_eye_frame) {
+    const size = Math.max(0.05, Math.min(1, T_eye_frame[11] / this.eye.distance));
+    this.directions.forEach((one, k) => this.part(one, scaled(T_eye_frame, size), AXES[k], { lit: 0 }));
   }
 
   ghost(surface, T_eye_mesh) {
