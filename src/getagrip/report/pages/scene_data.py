@@ -96,8 +96,8 @@ def constant_arrays(candidates: Sequence[View], surface: Mesh) -> dict[str, ndar
     Metres; poses are 4x4 matrices of all frames. ``object_vertices`` are unscaled. ``other_hand_known`` is 1
     in the frames of the other hand. ``focus`` is the point to look at, in each camera frame; ``extent`` the approximate
     diameter of hands and object together. ``T_cam_views`` has the poses of the further cameras in each frame,
-    ``camera_corners`` the corners of the images at a distance of 1, first of the clip's own camera. ``ground_height`` is
-    that of the ground along ``world_up``, where known.
+    ``camera_corners`` the corners of the images at a distance of 1, first of the clip's own camera. ``ground_height``
+    is that of the ground along ``world_up``, where known.
     """
     view = candidates[0]
     clip, result = view.clip, view.result
