@@ -38,6 +38,8 @@ BENCHES = {
     "--methods soft-hinge",
     "dexycb-other-final": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
     "--ablation final",
+    "dexycb-other-views": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
+    "--views 1 2 4 --clips 48",
     "dexycb-other-final-evidence": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
     "--ablation final-evidence --clips 48 --keep 0.95",
 }
