@@ -10,6 +10,7 @@ from urllib.parse import unquote_plus
 import numpy as np
 import pytest
 
+from getagrip.cli import main
 from getagrip.geometry import se3
 from getagrip.metrics.evaluate import evaluate
 from getagrip.report.pages import IndexRow, write_index, write_page
@@ -20,6 +21,7 @@ from helpers.accessibility import faults
 from helpers.annotation import IN_BROWSER, until
 from helpers.environment import needs_library
 from helpers.scenes import egg_and_mug, perfect, timeline
+from helpers.views import write_viewed_result
 
 pytestmark = IN_BROWSER
 SIZES = {"laptop": (1280, 720), "phone": (390, 844)}
@@ -103,6 +105,15 @@ def test_the_words_of_segments_can_be_read(browser: Any, tmp_path: Path) -> None
 def test_most_of_the_first_screen_is_the_picture(browser: Any, report: Path) -> None:
     page = opened(browser, report)
     assert page.locator(".warnings .serious li").is_visible()
+    assert page.evaluate(SEEN_OF_SCENE) >= 0.6 * 720
+    page.context.close()
+
+
+@pytest.mark.slow
+def test_so_it_is_beside_the_images_of_further_views(browser: Any, tmp_path: Path) -> None:
+    folder = write_viewed_result(tmp_path)
+    assert main(["report", str(folder)]) == 0
+    page = opened(browser, folder / "report.html")
     assert page.evaluate(SEEN_OF_SCENE) >= 0.6 * 720
     page.context.close()
 
