@@ -187,6 +187,11 @@ def test_options_that_do_not_fit_are_refused(
     assert "takes no options of the search" in capsys.readouterr().err
 
 
+def test_more_views_than_a_recording_has_are_refused(copied: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--views 3 leaves no draft"):
+        Recording(root=(copied,), side="right", views=(3,)).samples(tmp_path, debug=False)
+
+
 def test_the_grid_is_of_what_the_folder_has(copied: Path, tmp_path: Path) -> None:
     names = [run.name for run in Recording(root=(copied,), side="right").samples(tmp_path, False)[0]]
     assert len(names) == 2 * 3 * 2

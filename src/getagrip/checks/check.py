@@ -47,7 +47,8 @@ class Check:
         of_shape: True if the object's own mesh, in place of a built-in shape, would remove the fault.
         of_distance: True if the fault may be the distance between hand and object alone. Beside a hand that was lifted
             from 2D joints, whose distance is uncertain, it is never serious: the probability weighs it.
-        low_of_guess: lower limit of a built-in shape; None: ``low``. The measure is NaN above it.
+        low_where_met_less: lower limit where masks may be met less (``Evidence.met_less``); None: ``low``. The measure
+            is NaN above it.
     """
 
     name: str
@@ -60,7 +61,7 @@ class Check:
     shown: Callable[[float], str] = "{:.3g}".format
     of_shape: bool = False
     of_distance: bool = False
-    low_of_guess: float | None = None
+    low_where_met_less: float | None = None
 
     @property
     def usual(self) -> str:
@@ -87,7 +88,7 @@ class Check:
         """Return the finding about a measured value; None for usual values."""
         if self.is_usual(value):
             return None
-        low = self.low if self.low_of_guess is None or not it.shape_assumed else self.low_of_guess
+        low = self.low if self.low_where_met_less is None or not it.met_less else self.low_where_met_less
         limit, least = (low, "least") if value < self.low else (self.high, "most")
         fault = self.fault.format(value=self.shown(value)) if isinstance(self.fault, str) else self.fault(it)
         usual = f" (usual: at {least} {self.shown(limit)})" if limit else ""  # a limit of 0 is obvious

@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
 from getagrip.clip.clip import frame_indices
+from getagrip.clip.views import views_of
 from getagrip.geometry import se3
 from getagrip.geometry.rasterize import nearest_surface, render_coverage
 from getagrip.io.images import PackedMask, PackedMasks, pack_masks
@@ -124,6 +125,11 @@ class Evidence:
     def shape_assumed(self) -> bool:
         """True if the mesh is a built-in shape instead of the object's own mesh."""
         return is_assumed(self.clip.provenance.get("mesh"))
+
+    @property
+    def met_less(self) -> bool:
+        """True if right poses meet masks less: of a built-in shape, and beside views with errors of their own."""
+        return self.shape_assumed or bool(views_of(self.clip))
 
     @property
     def hand_lifted(self) -> bool:

@@ -153,7 +153,7 @@ _OWN_RESULT_CHECKS: tuple[Check, ...] = (
         "poor-mask-fit", results.consistent_mean_iou, low=0.9,
         fault="masks that agree with each other are met with a mean IOU of {value}",
         advice="the masks are probably right: check the hand's poses, the mesh and the camera", of_shape=True,
-        low_of_guess=results.MIN_BUILT_IN_IOU,
+        low_where_met_less=results.LOWER_MIN_IOU,
     ),
     Check(
         "worst-frame", lambda it: float(np.nanmin(it.overlaps)), low=0.4, serious=False,

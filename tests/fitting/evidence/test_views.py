@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from getagrip.bench.inputs.added_views import AddedViews
 from getagrip.bench.inputs.perturbations import UNCHANGED, EstimatedHands
-from getagrip.checks import Evidence, run_checks
+from getagrip.checks import RESULT_CHECKS, Evidence, run_checks
 from getagrip.clip import Clip, Masks, read_clip, write_clip
 from getagrip.clip.views import View, views_of, with_views
 from getagrip.fitting.evidence.epipolar import contradicting_views
@@ -157,6 +157,15 @@ def test_a_view_without_a_mask_in_these_frames_is_a_note() -> None:
     assert contradicting_views(late, masks) == {}
     findings = run_checks(FurtherViews.result_checks, Evidence(late, masks))[1]
     assert [(f.check, f.serious) for f in findings] == [("view-unseen", False)]
+
+
+def test_masks_of_several_views_may_be_met_less() -> None:
+    clip, masks = AddedViews(2, UNCHANGED)(*scene("spoon", 1, SMALL), 0)
+    (poor,) = (check for check in RESULT_CHECKS.values() if check.name == "poor-mask-fit")
+    alone, beside = (Evidence(each, masks) for each in (with_views(clip, []), clip))
+    assert (alone.met_less, beside.met_less) == (False, True)
+    said = [str(poor.finding(0.8, it)) for it in (alone, beside)]
+    assert ["at least 0.9)" in said[0], "at least 0.85)" in said[1]] == [True, True]
 
 
 def test_cameras_out_of_step_are_a_note() -> None:

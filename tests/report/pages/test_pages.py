@@ -219,7 +219,7 @@ def test_the_index_sorts_filters_and_links(page: Any, folder: Path) -> None:
     assert page.inner_text("#facts") == "3 of 4 results, 1 failed. Pictures show the frame of the lowest IOU."
     assert page.inner_text("tbody .badge.failed") == "failed"
     assert page.locator("tbody .value.by").nth(1).inner_text() == "40.0"
-    page.get_by_role("button", name="probability right in the hand").click()
+    page.locator("thead").get_by_role("button", name="probability right in the hand").click()
     assert page.locator("tbody .value.by").nth(1).inner_text() == "> 99"
     page.get_by_role("button", name="worst frame").click()
     page.locator("#flags").select_option("serious")

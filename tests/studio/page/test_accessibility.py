@@ -11,6 +11,7 @@ import pytest
 from getagrip.result import write_result
 from getagrip.result.findings import Finding, Probability
 from getagrip.studio import jobs
+from helpers.accessibility import faults
 from helpers.annotation import (
     FIRST_FRAME,
     IN_BROWSER,
@@ -32,15 +33,6 @@ from helpers.environment import needs_library
 from helpers.results import true_result
 
 pytestmark = IN_BROWSER
-STANDARDS = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
-
-
-def faults(page: Any) -> list[str]:
-    """What axe-core says is wrong with what is on the page now."""
-    from axe_playwright_python.sync_playwright import Axe
-
-    found = Axe().run(page, options={"runOnly": {"type": "tag", "values": STANDARDS}}).response["violations"]
-    return [f"{one['id']}: {node['target']} {node['any'][:1]}" for one in found for node in one["nodes"]]
 
 
 @needs_library("axe_playwright_python")

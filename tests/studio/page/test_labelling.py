@@ -463,3 +463,15 @@ def test_what_was_changed_elsewhere_is_not_undone(context: Any, served: Served) 
     page.keyboard.press("u")
     expect(page.locator("#problem")).to_contain_text("another tab")
     assert kept(served)[FIRST_FRAME].joints
+
+
+def test_the_title_says_what_the_page_is_for(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    expect(page.locator("#title")).to_have_text("Labels")
+    assert page.title() == "Labels, scene"
+    page.click("#back")
+    expect(page.locator("#title")).to_have_text("Grasps and segments")
+    draft = context.new_page()
+    draft.goto(f"{served.server.url}#annotator=ann")
+    shows(draft, FIRST_FRAME)
+    expect(draft.locator("#title")).to_have_text("Draft")

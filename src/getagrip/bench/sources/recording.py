@@ -147,7 +147,11 @@ class Recording(ClipSource):
         names = [view.name for view in views]
         if len({*names}) < len(names):
             raise UsageError(f"--root must be folders of different names (got {', '.join(names)})")
-        return [run for view in views for count in self.views for run in self._runs(view, views, count, clips)], []
+        runs = [run for view in views for count in self.views for run in self._runs(view, views, count, clips)]
+        if not runs:
+            why = "more than one goes with --hands found, --masks box and as many views of a recording"
+            raise UsageError(f"--views {' '.join(map(str, self.views))} leaves no draft: {why}")
+        return runs, []
 
     def _runs(self, view: View, views: list[View], count: int, clips: Path) -> list[Sample]:
         known = [DRAFTED_HANDS, *([TRUTH_JOINTS] if view.has_joints else [])]

@@ -47,7 +47,14 @@ on("away", (now) => {
 });
 on("mode", () => {
   for (const part of document.querySelectorAll("[data-in]")) part.hidden = part.dataset.in !== state.mode;
+  drawTitle();
 });
+
+/** What the page is for now. */
+function drawTitle() {
+  $("title").textContent = state.mode === "grasps" ? "Grasps and segments" : invited ? "Draft" : "Labels";
+  document.title = [$("title").textContent, state.task?.key].filter(Boolean).join(", ");
+}
 
 // ---- keys and buttons ----------------------------------------------------------------------------------------------
 
@@ -171,5 +178,6 @@ setInterval(() => {
   refresh(false);
   labels.refresh();
 }, POLL_WORK / 2);
+if (!invited) drawTitle();
 if (state.annotator) begin(state.annotator);
 else askName();

@@ -29,14 +29,20 @@ function unfilled() {
 
 const busy = () => ["waiting", "running"].includes(state.labels.job?.state);
 
+/** The number of a frame of the grasp, as the footage's files have it where that is known. */
+function numberOf(frame) {
+  const { drafts } = state.labels;
+  return (drafts.masks.get(frame) ?? drafts.hand.get(frame))?.content.number ?? `${frame + 1}`;
+}
+
 /** The next step where hands were found: the object is painted on the frames that are asked for. */
 function nextStroke(outlined) {
   const at = state.labels.wanted ?? undefined, there = at === player.wanted;
   if (!outlined) return there ? "The hands were found; they are drawn in every frame. Paint strokes over the object: along it, and over each of its colours. The hand does not belong to it." : "Go to the first frame (Home), and paint a stroke over the object there.";
   if (busy() || at === undefined) return null;
   if (there) return "Paint over the object here, too; z, then a stroke, for what does not belong to it.";
-  const result = state.labels.result?.current ? "The result is there: see below. " : "";
-  return `${result}Most is gained by a stroke on the frame that is named below.`;
+  const result = state.labels.result?.current ? "The result is there. " : "";
+  return `${result}Most is gained by strokes on frame ${numberOf(at)}.`;
 }
 
 function nextStep(joint) {
@@ -57,7 +63,7 @@ function nextStep(joint) {
     return `Now ${what} on the last frame or near it, and in the middle where the grasp is long or turns. The frames between are filled in (b).`;
   }
   if (unfilled()) return "Fill in the other frames (b).";
-  if (state.labels.result?.current && job?.what !== "files") return "The result is there: see below, and open its report. Where it is off, correct labels or mesh, and reconstruct again.";
+  if (state.labels.result?.current && job?.what !== "files") return "The result is there; its report says more. Where it is off, correct labels or mesh, and reconstruct again.";
   if (job?.what === "files" && job.state === "done") return "The files are there. Run the command below, with your object's mesh, to make the clip.";
   return "Step through the frames (→). Where something is off, k takes what was filled in, for you to correct; then fill in again. When all is right, name the object's mesh below and reconstruct.";
 }
@@ -109,7 +115,7 @@ function drawWork() {
     .sort((a, b) => a.content.confidence - b.content.confidence).slice(0, NAMED).sort((a, b) => a.frame - b.frame);
   drawFrames("unsure", unsure.map((one) => [one.frame, one.content.number, `${Math.round(100 * one.content.confidence)} % sure`]));
   const at = state.labels.wanted ?? undefined;
-  drawFrames("wanted", at === undefined ? [] : [[at, (drafts.masks.get(at) ?? drafts.hand.get(at))?.content.number ?? `${at + 1}`, "Go there"]]);
+  drawFrames("wanted", at === undefined ? [] : [[at, numberOf(at), "Go there"]]);
   const uncertain = own.map((one) => [one, (drafts.hand.get(one.frame)?.content.uncertain ?? []).filter((n) => Array.isArray(one.joints[n]))]);
   drawFrames("uncertain", uncertain.filter(([, joints]) => joints.length).map(([one, joints]) => [one.frame, one.number, joints.map((n) => NAMES[n]).join(", ")]));
   const command = job?.what === "files" && job.state === "done" ? job.message : "";

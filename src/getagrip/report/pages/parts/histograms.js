@@ -4,10 +4,10 @@
 const STEPS = [1, 2, 5, 10], BARS = 10;  // widths of bars [%], and how many of them at most
 const chosenBars = new Map();  // by the name of a column, the first per cent of the bar
 
-/** The bars of a column of shares: the first per cent of each, from below the least value to 100. */
+/** The bars of a column: the first per cent of each, up to 100; of an IOU from below the least value on. */
 function barsOf(name) {
   const known = data.rows.map((row) => row.values[name] ?? null).filter((value) => value !== null);
-  const least = 100 * Math.max(0, Math.min(...known, 0.99));
+  const least = name === "IOU" ? 100 * Math.max(0, known.reduce((a, b) => Math.min(a, b), 0.99)) : 0;
   const step = STEPS.find((width) => Math.ceil((100 - least) / width) <= BARS), first = step * Math.floor(least / step);
   return { name, step, firsts: Array.from({ length: Math.ceil((100 - first) / step) }, (_, k) => first + k * step) };
 }
