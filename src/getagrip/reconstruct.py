@@ -16,10 +16,9 @@ from threadpoolctl import threadpool_limits
 from getagrip.checks import INPUT_CHECKS, Evidence, compute_features, input_checks, result_checks, run_checks
 from getagrip.checks.timeline_checks import GRASP_CHECKS
 from getagrip.clip import Clip, Masks, check_clip, check_masks, masks_in_memory, read_masks, with_masks
-from getagrip.clip.views import View, from_best_view, with_packed_views
+from getagrip.clip.views import View, from_best_view, with_packed_views, with_views
 from getagrip.compiling import COMPILATION_MESSAGE, compile_once
 from getagrip.errors import GetagripError, InputError, UsageError, check_arguments
-from getagrip.fitting.energy.in_view import VIEW_SEPARATOR
 from getagrip.fitting.hand.joint_hand_object import restore_object_size, with_hand_size
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.methods.all_frames import refit_hinge
@@ -121,7 +120,8 @@ def reconstruct(
         if masks is not None:
             check_masks(clip, masks)
             clip = with_masks(clip, masks.in_bits)
-        clip, view = (clip, None) if options.as_published else from_best_view(with_packed_views(clip))
+        # The paper's method has one view.
+        clip, view = (with_views(clip, []), None) if options.as_published else from_best_view(with_packed_views(clip))
         if (
             masks_in_memory(clip) is None
             and options.every_frame
@@ -259,8 +259,7 @@ class StableGrasp:
         checks, after = run_checks(result_checks(), solved)
         findings, signs = (*self.findings, *after), compute_features(solved)
         signs |= {VIEWS_SIGN: 1.0 + len(problem.views)} if problem.views else {}
-        names = found.terms if found.hand is None else {*found.terms, *found.hand.energy}
-        terms = {name.partition(VIEW_SEPARATOR)[0] for name in names}
+        terms = {*found.terms} if found.hand is None else {*found.terms, *found.hand.energy}
         right = probabilities(source.clip, source.options, signs, findings, terms)
         return Judgement(self.checks | checks, findings, signs, right, hand_alternatives(problem, found))
 

@@ -186,10 +186,11 @@ def from_best_view(clip: Clip) -> tuple[Clip, View | None]:
     """Return a clip as the view sees it that shows the object in most frames, and that view.
 
     That is the clip's own, None, unless a further one shows the object in more than ``BETTER_VIEW_RATIO`` times as many
-    frames. The clip's own view is then a further one. Raises ``InputError`` as reading views does.
+    frames. The clip's own view is then a further one. A timeline stays as it is: its segments are of the own camera's
+    world. Raises ``InputError`` as reading views does.
     """
     in_memory = VIEWS_KEY in clip.evidence
-    if not (views_of(clip) if in_memory else clip.folder is not None and view_folders(clip.folder)):
+    if clip.segments or not (views_of(clip) if in_memory else clip.folder is not None and view_folders(clip.folder)):
         return clip, None
     masks = masks_in_memory(clip) or read_available_masks(clip, with_hand=True) or _unknown_masks(len(clip), clip.size)
     shown = BETTER_VIEW_RATIO * masks.observed.sum()
@@ -268,11 +269,9 @@ def read_view(clip: Clip, folder: Path) -> View:
     if (masks := read_available_masks(seen, with_hand=True)) is not None:
         view = replace(view, masks=_masks_at(masks, known))
     if os.path.lexists(folder / JOINTS_FILE):
-        stored = arrays.read(
-            files.inside(folder, JOINTS_FILE, "", "joints of the hand in the view"),
-            lambda key: key.startswith("joints_2d"),
-        )
-        points, confidence = parse_joints_2d(folder / JOINTS_FILE, stored, n_frames)
+        source = files.inside(folder, JOINTS_FILE, "", "joints of the hand in the view")
+        stored = arrays.read(source, {"joints_2d", "joints_2d_confidence"}.__contains__)
+        points, confidence = parse_joints_2d(source, stored, n_frames)
         confidence = np.where(known[:, None], confidence[rows], 0.0)
         view = replace(view, joints_2d=points[rows], joints_2d_confidence=confidence)
     depth = read_depth(with_masks(seen, view.masks)) if view.masks.observed.any() else None

@@ -239,7 +239,7 @@ def observe_views(
     ``outliers`` are left out, each by the names of view and frame.
     """
     found = []
-    for view in () if options.as_published else views_of(clip):
+    for view in views_of(clip):
         inlier = [(view.name, frame) not in outliers for frame in clip.frames]
         rows = np.flatnonzero(view.masks.observed & inlier)
         if not len(rows):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,17 +13,21 @@ from numpy import ndarray
 from getagrip.bench.inputs.added_views import AddedViews
 from getagrip.bench.inputs.perturbations import UNCHANGED, EstimatedHands
 from getagrip.checks import RESULT_CHECKS, Evidence, run_checks
-from getagrip.clip import Clip, Masks, read_clip, write_clip
-from getagrip.clip.views import View, views_of, with_views
+from getagrip.clip import Clip, Masks, Segment, read_clip, with_masks, write_clip
+from getagrip.clip.views import View, from_best_view, views_of, with_views
 from getagrip.fitting.evidence.epipolar import contradicting_views
 from getagrip.fitting.evidence.views import FurtherViews
 from getagrip.fitting.hand.refine_hand import refine_hand
 from getagrip.fitting.options import Options
-from getagrip.fitting.stages.confidence import probability_right
+from getagrip.fitting.problem import MethodResult, Problem
+from getagrip.fitting.stages import view_agreement
+from getagrip.fitting.stages.confidence import probability_right, uncalibrated_reason
 from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction
 from getagrip.synthetic.noise import NOISE_PRESETS
+from getagrip.synthetic.scene_options import SceneOptions
 from helpers.scenes import DEFAULT, SMALL, scene, scores
 
 ESTIMATED = EstimatedHands(replace(NOISE_PRESETS["estimated"], mask_ragged_px=0.0))
@@ -119,6 +124,51 @@ def test_masks_of_a_wrong_camera_contradict_by_geometry_alone(wrong: object) -> 
     first, second = views_of(clip)
     found = contradicting_views(with_views(clip, [wrong(first), second]), masks)  # type: ignore[operator]
     assert [*found] == [first.name]
+
+
+def test_a_view_of_few_frames_is_compared_in_these() -> None:
+    clip, masks = AddedViews(2, UNCHANGED)(*scene("kettle", 1, SceneOptions(frames=26)), 0)
+    view = turned(views_of(clip)[0])
+    rare = np.isin(np.arange(len(clip)), [3, 6])[:, None, None]
+    few = replace(view, masks=Masks(np.asarray(view.masks.object) & rare, np.asarray(view.masks.ignore) | ~rare))
+    assert [*contradicting_views(with_views(clip, [few]), masks)] == [view.name]
+
+
+@pytest.mark.slow
+def test_a_fitted_mesh_is_not_deformed_again_to_look_for_suspect_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    clip, masks = AddedViews(2, UNCHANGED)(*scene("mug", 0), 0)
+    mesh = Mesh(clip.mesh.vertices * [1.15, 1.15, 1.0], clip.mesh.faces)
+    seen = list[Mesh]()
+    module = sys.modules["getagrip.reconstruct"]
+
+    def suspect(problem: Problem, found: MethodResult) -> None:
+        monkeypatch.setattr(
+            view_agreement, "image_iou", lambda posed, *_: seen.append(posed.mesh) or np.ones(len(posed))
+        )
+        view_agreement.suspect_view(problem, found)
+
+    monkeypatch.setattr(module, "suspect_view", suspect)
+    stretched = replace(clip, mesh=mesh, truth=None)
+    result = reconstruct(stretched, masks, Options(inits=6, every_frame=False))
+    assert result.warp is not None
+    assert len(seen) == 1
+    np.testing.assert_allclose(seen[0].vertices, result.warp(mesh).vertices, atol=1e-9)
+
+
+def test_a_timeline_is_fitted_from_its_own_camera() -> None:
+    clip, masks = AddedViews(2, UNCHANGED)(*scene("spoon", 1, SMALL), 0)
+    nothing = Masks(np.zeros_like(np.asarray(masks.object)), np.ones_like(np.asarray(masks.object)))
+    hidden = with_masks(clip, nothing)
+    assert from_best_view(hidden)[1] is not None
+    grasp = Segment("grasp", 0, len(clip) - 1, clip.side)
+    assert from_best_view(replace(hidden, segments=(grasp,)))[1] is None
+
+
+def test_no_view_counts_in_the_papers_method_nor_in_the_reason_for_no_probability() -> None:
+    clip, masks = AddedViews(2, UNCHANGED)(*scene("spoon", 1, SMALL), 0)
+    found = reconstruct(clip, masks, Options(method="paper", inits=2, every_frame=False))
+    assert not [name for name in found.energy if ":" in name]
+    assert uncalibrated_reason(Options(), (), ("mask", "mask:view2")) == ""
 
 
 @pytest.mark.slow

@@ -30,6 +30,11 @@ VIEW_SEPARATOR = ":"
 P = TypeVar("P", bound=PosesInCamera)
 
 
+def term_in_any_view(name: str) -> str:
+    """Return the name of a term without that of its view."""
+    return name.partition(VIEW_SEPARATOR)[0]
+
+
 @dataclass(frozen=True)
 class InView:
     """A term of a further view, on some of the frames.

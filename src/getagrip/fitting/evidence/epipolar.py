@@ -11,8 +11,8 @@ pixels, and that of these and of all ignored pixels; the first of one view must 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import cv2
@@ -55,39 +55,58 @@ def contradicting_views(clip: Clip, masks: Masks) -> dict[str, float]:
     """
     if not views_of(clip):
         return {}
-    outlines = {OWN_VIEW: _outlines(clip, masks, np.tile(np.eye(4), (len(clip), 1, 1)))}
+    seen = {OWN_VIEW: _SeenClip(clip, masks, np.tile(np.eye(4), (len(clip), 1, 1)))}
     for view in views_of(clip):
-        outlines[view.name] = _outlines(clip_in_view(clip, view), view.masks, view.T_cam_view)
-    apart = {pair: _contradiction(outlines[pair[0]], outlines[pair[1]]) for pair in combinations(outlines, 2)}
+        seen[view.name] = _SeenClip(clip_in_view(clip, view), view.masks, view.T_cam_view)
+    apart = {pair: _contradiction(seen[pair[0]], seen[pair[1]]) for pair in combinations(seen, 2)}
     out = dict[str, float]()
     while True:
         wrong = {pair: value for pair, value in apart.items() if value > MAX_CONTRADICTION and not {*pair} & {*out}}
         if not wrong:
             return out
-        total = {name: sum(v for pair, v in wrong.items() if name in pair) for name in outlines if name != OWN_VIEW}
+        total = {name: sum(v for pair, v in wrong.items() if name in pair) for name in seen if name != OWN_VIEW}
         worst = max(total, key=lambda name: total[name])
         out[worst] = max(value for pair, value in wrong.items() if worst in pair)
 
 
-def _outlines(clip: Clip, masks: Masks, T_cam_view: Float[ndarray, "T 4 4"]) -> Mapping[int, _Outline]:
-    """Compute the outlines of a view in the frames that show the object whole, but for occluders."""
-    rows = np.flatnonzero(masks.observed)
-    rows = rows[frame_indices(len(rows), N_AGREEMENT_FRAMES)] if len(rows) else rows
-    some = masks.take(rows)
-    if len(rows) and not some.say_what_hides:
-        some = occluded_by_hand(clip.take(rows), some)
-    out = {}
-    for n, shown, hidden in zip(
-        rows.tolist(), pack_masks(some.object).frames, pack_masks(some.ignore).frames, strict=True
-    ):
-        box = (0, 0, *clip.size)
-        pixels = shown.part(box)
+@dataclass(frozen=True)
+class _SeenClip:
+    """A clip as one of its views shows it, its masks, and ``T_cam_view``."""
+
+    clip: Clip
+    masks: Masks
+    T_cam_view: Float[ndarray, "T 4 4"]
+
+    @cached_property
+    def observed(self) -> Bool[ndarray, "T"]:
+        return self.masks.observed
+
+    @cached_property
+    def draws_hand(self) -> bool:
+        """True if the hand is rendered as the occluder, since the masks say of none."""
+        return not self.masks.say_what_hides
+
+    @cached_property
+    def outlines(self) -> dict[int, _Outline | None]:
+        """Outlines of the frames that were asked for; None where the object touches the border."""
+        return {}
+
+    def outline(self, n: int) -> _Outline | None:
+        """Compute the outline of a frame once; None where the object touches the border."""
+        if n not in self.outlines:
+            self.outlines[n] = self._outline(n)
+        return self.outlines[n]
+
+    def _outline(self, n: int) -> _Outline | None:
+        one = self.masks.take(np.array([n]))
+        if self.draws_hand:
+            one = occluded_by_hand(self.clip.take(np.array([n])), one)
+        box = (0, 0, *self.clip.size)
+        pixels = pack_masks(one.object).frames[0].part(box)
         if _touches_border(pixels):
-            continue
-        T, K = T_cam_view[n], clip.K[n]
-        seen, possible = (_hull_rays(K, part) @ T[:3, :3].T for part in (pixels, pixels | hidden.part(box)))
-        out[n] = _Outline(T[:3, 3], seen, possible)
-    return out
+            return None
+        T, K, possible = self.T_cam_view[n], self.clip.K[n], pixels | pack_masks(one.ignore).frames[0].part(box)
+        return _Outline(T[:3, 3], *(_hull_rays(K, part) @ T[:3, :3].T for part in (pixels, possible)))
 
 
 def _touches_border(pixels: Bool[ndarray, "H W"]) -> bool:
@@ -102,9 +121,15 @@ def _hull_rays(K: Float[ndarray, "3 3"], pixels: Bool[ndarray, "H W"]) -> Float[
     return np.asarray(uv1)
 
 
-def _contradiction(one: Mapping[int, _Outline], other: Mapping[int, _Outline]) -> float:
-    """Compute the median contradiction of two views over the frames that both show [widths]; NaN without any."""
-    both = [found for n in one.keys() & other.keys() if np.isfinite(found := _frame_contradiction(one[n], other[n]))]
+def _contradiction(one: _SeenClip, other: _SeenClip) -> float:
+    """Compute the median contradiction of two views over frames that both show [widths]; NaN without any."""
+    rows = np.flatnonzero(one.observed & other.observed)
+    rows = rows[frame_indices(len(rows), N_AGREEMENT_FRAMES)] if len(rows) else rows
+    both = []
+    for n in rows.tolist():
+        mine, theirs = one.outline(n), other.outline(n)
+        if mine is not None and theirs is not None and np.isfinite(value := _frame_contradiction(mine, theirs)):
+            both.append(value)
     return float(np.median(both)) if both else float("nan")
 
 

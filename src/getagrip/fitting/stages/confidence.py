@@ -40,6 +40,7 @@ from getagrip.checks.evidence import was_lifted
 from getagrip.checks.features import was_corrected
 from getagrip.clip import Clip
 from getagrip.fitting.energy import PosesInCamera, no_bound
+from getagrip.fitting.energy.in_view import term_in_any_view
 from getagrip.fitting.energy.mask import MASK_CROP_SIZE_PX
 from getagrip.fitting.hand.hand_error_model import rigid_point_jacobian
 from getagrip.fitting.motion import transform_poses
@@ -223,7 +224,9 @@ def probabilities(
     """
     hands, depth = kind_of_hands(clip.provenance), signs.get("depth-images", 0.0)
     guessed_shape = is_assumed(clip.provenance.get("mesh"))
-    kind = kind_of_input(hands, terms, depth, was_corrected(signs), was_lifted(clip), guessed_shape)
+    kind = kind_of_input(
+        hands, {*map(term_in_any_view, terms)}, depth, was_corrected(signs), was_lifted(clip), guessed_shape
+    )
     found = {where: probability_right(options, signs, findings, where, terms, kind) for where in get_args(Where)}
     beyond = [finding.check for finding in findings if finding.check in UNCALIBRATED_DEPTH_FINDINGS]
     if guessed_shape and kind not in ("measured", "corrected", "lifted-shape"):  # calibrated on exact meshes only
@@ -285,6 +288,6 @@ def uncalibrated_reason(options: Options, findings: Sequence[Finding], terms: It
         value = getattr(options, option.name)
         if option.name not in CALIBRATION_NEUTRAL_OPTIONS and value != option.default:
             return f"none is calibrated with {option.name} {value}"
-    if others := [name for name in terms if name not in CALIBRATED_TERMS]:
+    if others := [name for name in map(term_in_any_view, terms) if name not in CALIBRATED_TERMS]:
         return f"none is calibrated with the evidence {', '.join(others)}"
     return "a finding is serious" if any(finding.serious for finding in findings) else ""

@@ -29,13 +29,15 @@ MIN_VIEW_IOU = 0.5
 
 
 def suspect_view(problem: Problem, found: MethodResult) -> str | None:
-    """Find the further view without which the masks of the others are met better most; None if all agree."""
-    solved = problem.as_found(found)
-    T_hand_obj = hand_object_transforms(found.poses, solved.clip.mesh.centre)[0]
+    """Find the further view without which the masks of the others are met better most; None if all agree.
+
+    The problem has the mesh and the hand of the fit (``Problem.as_found``).
+    """
+    T_hand_obj = hand_object_transforms(found.poses, problem.clip.mesh.centre)[0]
     scale, ratios = float(found.poses.scale[0]), dict[str, float]()
-    for view in solved.views:
-        iou = image_iou(view.clip(solved.clip), view.masks, T_hand_obj[view.rows], scale)
-        ratios[view.name] = np.inf if np.nanmean(iou) < MIN_VIEW_IOU else _release_ratio(solved, found, view.name)
+    for view in problem.views:
+        iou = image_iou(view.clip(problem.clip), view.masks, T_hand_obj[view.rows], scale)
+        ratios[view.name] = np.inf if np.nanmean(iou) < MIN_VIEW_IOU else _release_ratio(problem, found, view.name)
     worst = max(ratios, key=lambda name: ratios[name], default=None)
     return worst if worst is not None and ratios[worst] > SUSPICIOUS_RELEASE_RATIO else None
 
@@ -46,15 +48,18 @@ def is_in_the_way(view: str, joint: MethodResult, without: MethodResult) -> bool
 
 
 def _mask_energy(terms: Mapping[str, float], but: str) -> float:
-    """Return the mean energy of the masks of all views but one in a frame."""
+    """Sum the energy of the masks of all views but one."""
     names = (name.partition(VIEW_SEPARATOR) for name in terms)
     return sum(terms["".join(name)] for name in names if name[0] == "mask" and name[2] != but)
 
 
 def _release_ratio(problem: Problem, found: MethodResult, name: str) -> float:
-    """Compute the energy of all masks but a view's in the fit, in their energy after a few iterations without it."""
+    """Compute the energy of all masks but a view's in the fit, in their energy after a few iterations without it.
+
+    0 of a method without a motion of its own.
+    """
     if found.motion is None or found.energy_of is None:
-        return float("nan")
+        return 0.0
     without = replace(problem, views=tuple(view for view in problem.views if view.name != name))
     terms = found.energy_of(without)(RELEASE_LEVEL_PX, np.arange(len(problem.clip)))
     motion, T_cam_hand = found.motion.take(np.zeros(1, int)), problem.clip.hand.T_cam_hand
