@@ -83,6 +83,7 @@ class Bench(Command, Generic[C]):
         for outcome in bad:
             print_outcome(outcome, self.debug)
         if not found:
+            print_note(f"{self.source.dataset}: no clip is left to run")
             return 1
         self.out.mkdir(parents=True, exist_ok=True)
         files.remove_stale_folders(self.out / "clips")
