@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from getagrip.clip import HandTrack
 from getagrip.geometry import se3
-from getagrip.geometry.camera import project
+from getagrip.geometry.camera import backproject, project
 from getagrip.hands import generic
 from getagrip.hands.fit_joints import fit_joints
 from getagrip.hands.model import Side
@@ -53,15 +53,14 @@ class SeenJoints:
     T_cam: Float[ndarray, "T 4 4"]
 
     @property
-    def there(self) -> Bool[ndarray, "T 21"]:
-        """Which joints count."""
+    def counted(self) -> Bool[ndarray, "T 21"]:
+        """True for the joints that are seen well enough to count."""
         return (self.confidence >= MIN_CONFIDENCE) & np.isfinite(self.points).all(axis=-1)
 
     @property
     def rays(self) -> Float[ndarray, "T 21 3"]:
         """Unit directions of the joints from the camera, in the common frame."""
-        uv1 = np.concatenate([self.points, np.ones((*self.points.shape[:-1], 1))], axis=-1)
-        along = uv1 @ np.swapaxes(self.T_cam[:, :3, :3] @ np.linalg.inv(self.K), 1, 2)
+        along = backproject(self.K, self.points) @ np.swapaxes(self.T_cam[:, :3, :3], 1, 2)
         return np.asarray(along / np.linalg.norm(along, axis=-1, keepdims=True))
 
     def agrees(self, X: Float[ndarray, "T 21 3"]) -> Bool[ndarray, "T 21"]:
@@ -71,7 +70,7 @@ class SeenJoints:
         before = z > 0.0
         seen[~before] = [0.0, 0.0, 1.0]
         off = np.linalg.norm(project(self.K, seen) - self.points, axis=-1) / self.K[:, None, 0, 0] * z
-        return np.asarray(self.there & before & np.isfinite(X).all(axis=-1) & (off < AGREEMENT_M))
+        return np.asarray(self.counted & before & np.isfinite(X).all(axis=-1) & (off < AGREEMENT_M))
 
 
 def triangulate_joints(views: Sequence[SeenJoints]) -> Float[ndarray, "T 21 3"]:
@@ -80,7 +79,7 @@ def triangulate_joints(views: Sequence[SeenJoints]) -> Float[ndarray, "T 21 3"]:
     best, most = np.full((*shape, 3), np.nan), np.zeros(shape)
     for pair in combinations(views, 2):
         apart = np.degrees(np.arccos(np.clip(np.sum(pair[0].rays * pair[1].rays, axis=-1), -1.0, 1.0)))
-        usable = pair[0].there & pair[1].there & (np.minimum(apart, 180.0 - apart) > MIN_RAY_ANGLE_DEG)
+        usable = pair[0].counted & pair[1].counted & (np.minimum(apart, 180.0 - apart) > MIN_RAY_ANGLE_DEG)
         X = _nearest_points(pair, np.array([usable, usable]))
         agreeing = np.array([one.agrees(X) for one in views])
         enough = usable & (agreeing.sum(axis=0) >= 2)
