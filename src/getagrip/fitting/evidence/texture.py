@@ -97,4 +97,4 @@ class Texture(Modality[FrameImages]):
         return FrameImages(paths) if any(paths) else None
 
     def write(self, clip: Clip, folder: Path) -> None:
-        return None  # ``write_clip`` is given images
+        return None  # ``write_clip`` takes images
