@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -22,7 +23,8 @@ from getagrip.clip.depth import DEPTH_KEY
 from getagrip.clip.read_arrays import read_hand
 from getagrip.fitting.options import Options
 from getagrip.io.images import read_mask
-from getagrip.studio.hands.detect_hands import find_jumps, is_cut
+from getagrip.studio.hands.detect_hands import find_jumps, find_landmarks, is_cut
+from getagrip.studio.hands.hand_selection import HandLandmarks
 from getagrip.studio.jobs import CommandCall
 from getagrip.studio.store.mark_store import Store
 from helpers.environment import Run
@@ -148,6 +150,26 @@ def test_no_hand_and_no_models_are_said(scene: Path, run: Run, monkeypatch: pyte
     status, _, err = run(*DRAFT, "--models", "nowhere")
     assert status == 1
     assert "getagrip doctor --fetch hands" in err
+
+
+def test_a_hand_in_a_single_frame_is_no_grasp(scene: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = find_landmarks
+
+    def in_one_frame(*asked: Any) -> HandLandmarks:
+        landmarks = whole(*asked)
+        gone = np.arange(len(landmarks.points)) != 3
+        return replace(
+            landmarks,
+            points=np.where(gone[:, None, None], np.nan, landmarks.points),
+            confidence=np.where(gone[:, None], 0.0, landmarks.confidence),
+        )
+
+    monkeypatch.setattr("getagrip.studio.hands.detect_hands.find_landmarks", in_one_frame)
+    status, _, err = run(*DRAFT)
+    assert status == 2
+    assert "the left hand is found in 000004 only, of 8 frames: a grasp has two or more" in err
+    assert "--interval must" not in err
+    assert not list((scene.parent / "out").glob("draft-*"))
 
 
 @pytest.mark.parametrize("box", ["1,2,3", "a,b,c,d", "1,2,3,-4"])

@@ -239,6 +239,13 @@ class Draft(Command):
             return found
         found = self._find(stretch)
         self._say_sources(found)
+        if len(found.frames) == 1:
+            (frame,) = found.frames
+            raise UsageError(
+                f"the {found.side} hand is found in {stretch.footage.name(frame)} only, of {len(stretch.names)} frames: "
+                "a grasp has two or more; give --interval with frames that show the hand and fingers well, or hands of "
+                "another estimator by --hands"
+            )
         with progress_bar() as bar:
             job = bar.add_task("the hand's masks", total=len(found.landmarks))
             update = lambda n: bar.update(job, completed=n)  # noqa: E731
