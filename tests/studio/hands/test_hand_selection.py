@@ -27,6 +27,10 @@ def hand(u: float, v: float = 500.0, right: float = 0.1, confidence: float = 0.9
     return Sighting(FLAT + np.array([u, v]), WORLD, confidence, right)
 
 
+def from_above(u: float, right: float = 0.1) -> Sighting:
+    return Sighting(np.array([u, 500.0]) - FLAT, WORLD, 0.95, right)
+
+
 class Seeing(Nets):
     """Networks that see given hands: palms in some frames only, landmarks where the square is near a hand."""
 
@@ -156,7 +160,7 @@ def test_no_hand_is_mirrored_in_half_of_its_frames_or_against_its_mirror_image()
 
 
 def test_the_side_is_the_majoritys() -> None:
-    seen = [[hand(300.0, right=0.9 if n in (3, 4) else 0.01)] for n in range(20)]
+    seen = [[hand(300.0, right=0.6 if n in (3, 4) else 0.01)] for n in range(20)]
     found = select_hand(seen)
     assert found.side == "left"
     assert str(found.side_source) == "left: it looks like a left hand in 18 of 20 frames"
@@ -181,6 +185,43 @@ def test_a_stated_side_overrules_a_side_that_is_a_guess() -> None:
     found = select_hand(seen, side="right")
     assert (found.side, found.rows) == ("right", tuple(range(20)))
     assert any(note.startswith("a guess: it looks like a left hand") for note in found.notes)
+
+
+def sides(seen: list[list[Sighting]]) -> list[tuple[Side, bool]]:
+    """Sides of the left and the right hand in the picture, and whether each is a guess."""
+    boxes = [{0: np.array([u - 20.0, 400.0, 40.0, 40.0])} for u in (300.0, 900.0)]
+    found = [select_hand(seen, boxes=box) for box in boxes]
+    return [(each.side, is_assumed(each.side_source)) for each in found]
+
+
+@pytest.mark.parametrize(("right", "guesses"), [(0.2, (True, True)), (0.01, (False, True)), (0.99, (True, False))])
+def test_of_two_hands_of_the_cameras_wearer_the_right_one_is_the_right_hand(
+    right: float, guesses: tuple[bool, bool]
+) -> None:
+    """Also where both look alike, and where one that looks otherwise comes later."""
+    seen = [[hand(300.0, right=right), hand(900.0, right=right)] for n in range(20)]
+    assert sides(seen) == [("left", guesses[0]), ("right", guesses[1])]
+    later = [hands[:1] if n < 8 else hands for n, hands in enumerate(seen)]
+    assert sides(later) == [("left", guesses[0]), ("right", guesses[1])]
+    box = {0: np.array([880.0, 400.0, 40.0, 40.0])}
+    found = select_hand(seen, "left", box)
+    assert (found.side, np.nanmin(found.points[..., 0]) > 600.0) == ("left", True), "the hand at the object, as stated"
+    if guesses[1]:
+        assert "it is the right one of two hands from below" in str(select_hand(seen, boxes=box).side_source)
+
+
+def test_hands_of_a_person_in_front_and_of_two_people_stay_as_they_look() -> None:
+    def looks(left: Sighting, right: Sighting) -> list[Side]:
+        return [side for side, _ in sides([[left, right] for _ in range(20)])]
+
+    assert looks(hand(300.0, right=0.99), hand(900.0, right=0.01)) == ["right", "left"], "both are sure"
+    assert looks(hand(300.0, right=0.97), hand(900.0, right=0.1)) == ["right", "left"]
+    assert looks(hand(300.0, right=0.6), hand(900.0, right=0.3)) == ["left", "right"]
+    assert looks(from_above(300.0, 0.3), from_above(900.0, 0.3)) == ["left", "left"], "forearms come from above"
+    large = Sighting(3.0 * FLAT + [900.0, 500.0], WORLD, 0.95, 0.3)
+    assert looks(hand(300.0, right=0.3), large) == ["left", "left"], "one is nearer by far"
+    seen = [[hand(300.0, right=0.3)] + [hand(900.0, right=0.3)] * (n < 3) for n in range(20)]
+    assert select_hand(seen).side == "left", "it is hardly seen beside another"
 
 
 def test_no_hand_about_the_frame_of_the_box_is_said_where_the_side_is_the_other() -> None:
@@ -274,9 +315,9 @@ def test_long_gaps_stay_gaps_and_two_people_are_said() -> None:
     assert any("11 to 31" in note for note in found.notes)
     assert any("111 to 131" in note for note in select_hand(seen, counted_from=101).notes)
     for right, overrules in ((0.1, "--object-box overrules"), (0.9, "--object-box or --side overrules")):
-        note = select_hand([[hand(300.0), hand(900.0, right=right)] for n in range(20)]).notes[-1]
-        assert "two hands in 20 frames: chosen is the one at (299, 401)" in note, note
-        assert "in frame 1, not that at (899, 401)" in note
+        note = select_hand([[from_above(300.0), from_above(900.0, right)] for n in range(20)]).notes[-1]
+        assert "two hands in 20 frames: chosen is the one at (301, 599)" in note, note
+        assert "in frame 1, not that at (901, 599)" in note
         assert overrules in note
     seen = [[hand(300.0), hand(900.0, right=0.9)] for n in range(20)]
     boxed = select_hand(seen, boxes={0: np.array([280.0, 420.0, 60.0, 60.0])}).notes[-1]
