@@ -34,12 +34,12 @@ FINGER_BEND_SCALE_M = 0.01
 """Distance of the fingers from the plane of the palm with log odds of 1 [m]."""
 MAX_CUE_LOG_ODDS = 4.0
 """Limit of the log odds of either cue in a frame, so that no single frame decides."""
-HANDEDNESS_CERTAINTY_LIMITS = 3.5, 0.8
-"""Mean log odds of a side, and fraction of frames that agree, below which a side is assumed. Of 77 hands in public
-videos 15 look like the other side, 12 of them below these limits, as do 12 that look right."""
+HANDEDNESS_CERTAINTY_LIMITS = 4.0, 0.8
+"""Mean log odds of a side, and fraction of frames that agree, below which a side is assumed. Of 83 hands in public
+videos 15 look like the other side, 12 of them below these limits, as do 16 that look right."""
 PAIR_ORDER_LOG_ODDS = 2.5
-"""Log odds that of two hands with forearms from below the right one in the picture is the right hand. On 77 hands in
-public videos, on which it was chosen, any from 2 to 4 decides alike."""
+"""Log odds that of two hands with forearms from below the right one in the picture is the right hand. On 83 hands in
+public videos, on which it was chosen, any from 2 on decides alike."""
 MAX_PAIR_SIZE_RATIO, MIN_PAIR_DISTANCE = 2.0, 0.5
 """Largest ratio of the sizes of two hands that are taken for one person's, and smallest horizontal distance, in sizes,
 at which one is the left one."""
