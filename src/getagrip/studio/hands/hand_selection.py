@@ -9,7 +9,7 @@ The side of a track is decided by many of its sightings, from the network's prob
 which bend towards the palm. The network is less confident of left hands, and of hands whose palm is hidden. This bias
 cancels out by comparison with a sighting in the mirror image, where the hand must be one of the other side. Frames of a
 track in which the hand is seen as one of the other side are wrong (``find_mirrored_frames``). Two hands seen beside
-each other have different sides (``decide_sides``).
+each other have different sides (``choose_sides``).
 """
 
 from __future__ import annotations
@@ -216,7 +216,7 @@ class HandTracklet:
 
     @property
     def from_below(self) -> bool:
-        """Whether the forearm comes from below in the picture."""
+        """True if the forearm comes from below in the picture."""
         along = np.mean([each.points[9] - each.points[0] for each in self.seen.values()], axis=0)
         return bool(-along[1] >= MIN_RISE * np.linalg.norm(along))
 
@@ -303,8 +303,8 @@ def link_tracks(seen: Sequence[Sequence[Sighting]]) -> list[HandTracklet]:
     return [track for track in out if not any(map(track.part_of, out))]
 
 
-def decide_sides(found: Sequence[HandTracklet], odds: Odds) -> None:
-    """Decide the side of each hand by how it looks, and by a hand seen beside it.
+def choose_sides(found: Sequence[HandTracklet], odds: Odds) -> None:
+    """Choose the side of each hand by how it looks, and by a hand seen beside it.
 
     If both have forearms from below, they are taken for those of the camera's wearer: the left one in the picture is
     the left hand. They are not if they are sure of different sides, or look the other way round by more than
@@ -352,7 +352,7 @@ def select_hand(
     found = link_tracks(seen)
     hands = [track for track in found if not track.belongs_to_object(boxes)]
     notes = [f"left out: {OBJECT_PART_NOTE}"] if len(found) > len(hands) else []
-    decide_sides(hands, odds)
+    choose_sides(hands, odds)
     found = _candidate_tracks(hands, side, boxes)
     if not found:
         raise UsageError(f"no hand: {OBJECT_PART_NOTE}" if notes else _explain_no_hand(seen, side, boxed))
