@@ -24,19 +24,17 @@ from getagrip.clip import Clip, masks_in_memory
 from getagrip.clip.masks import read_available_masks
 from getagrip.errors import InputError
 from getagrip.fitting.evidence.texture import TEXTURE_KEY, FrameImages, Texture
-from getagrip.fitting.problem import Problem
+from getagrip.fitting.problem import ObjectSurface, Problem
 from getagrip.fitting.stages.remaining_frames import SolutionTrack
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import Mesh, decimate
 from getagrip.geometry.rasterize import depth_and_face
 from getagrip.io.images import read_image
 from getagrip.provenance import kind_of_hands
 
 SURFACE_MOTION = "surface-motion"
 """Name among the evidence beside the masks, by which options leave it out."""
-MAX_SIDE_PX, MARGIN_PX, MAX_FACES = 240, 6, 4000
-"""Longest side of the images in which corners are tracked and margin about the object's mask [px], and maximum number
-of the mesh's faces."""
+MAX_SIDE_PX, MARGIN_PX = 240, 6
+"""Longest side of the images in which corners are tracked, and margin about the object's mask [px]."""
 MAX_CORNERS, CORNER_QUALITY, CORNER_DISTANCE_PX, CORNER_BLOCK_PX = 80, 0.02, 4.0, 5
 """Number of corners, their least quality relative to the best, distance from each other and size [px]."""
 MIN_CORNER_STRENGTH = 1e-4
@@ -99,11 +97,11 @@ def turn_with_surface(
     images = None if unused or axis is None else _images_of(clip)
     if axis is None or images is None:
         return track, ()
-    T_cam_obj, mesh = track.T_cam_hand @ track.T_hand_obj[0], decimate(clip.mesh, MAX_FACES)
+    T_cam_obj = track.T_cam_hand @ track.T_hand_obj[0]
     turns = list[Turn | None]()
     for n, (a, b) in enumerate(pairwise(_seen_frames(clip, images))):
         seen = None if a is None or b is None else _cut_out(a, b)
-        turns.append(seen and _turn_between(mesh, scale, axis, *seen, T_cam_obj[n], T_cam_obj[n + 1]))
+        turns.append(seen and _turn_between(problem.surface, scale, axis, *seen, T_cam_obj[n], T_cam_obj[n + 1]))
     measured = np.array([turn is not None for turn in turns])
     if np.count_nonzero(measured) < MIN_TURNS or measured.mean() < MIN_TURN_SHARE:
         return track, ()
@@ -166,7 +164,7 @@ def _turns_about(axis: Float[ndarray, "3"], R: Float[ndarray, "T 3 3"]) -> Float
 
 
 def _turn_between(
-    mesh: Mesh,
+    surface: ObjectSurface,
     scale: float,
     axis: Float[ndarray, "3"],
     here: _Cut,
@@ -182,13 +180,13 @@ def _turn_between(
     )
     if corners is None or len(corners) < MIN_TRACKS:
         return None
-    posed = se3.transform(T_here, scale * mesh.vertices)
-    depth = depth_and_face(posed, mesh.faces, here.K, here.grey.shape[::-1])[0]
+    posed = se3.transform(T_here, scale * surface.coarse.vertices)
+    depth = depth_and_face(posed, surface.coarse.faces, here.K, here.grey.shape[::-1])[0]
     column, row = corners[:, 0].astype(int).T
     on_surface = np.isfinite(depth[row, column])
     first, z = corners[on_surface], depth[row, column][on_surface]
     ray = np.column_stack([first[:, 0] + 0.5, np.ones(len(first))]) @ np.linalg.inv(here.K).T
-    centre = scale * mesh.centre
+    centre = scale * surface.mesh.centre
     place = se3.transform(se3.inverse(T_here), z[:, None] * ray) - centre
     # The next pose, as if the object had not turned about its axis: the tracking starts at its places.
     turn = _turns_about(axis, np.stack([T_here[:3, :3], T_there[:3, :3]]))[0]
