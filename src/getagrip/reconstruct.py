@@ -38,6 +38,7 @@ from getagrip.fitting.stages.distance import distance_interval
 from getagrip.fitting.stages.loose_ends import meets_firm_frames, without_loose_ends
 from getagrip.fitting.stages.remaining_frames import SolutionTrack, at_sampled_frames, extend_to_every_frame
 from getagrip.fitting.stages.robust_masks import fit_without_outliers, image_iou
+from getagrip.fitting.stages.surface_motion import turn_with_surface
 from getagrip.fitting.stages.texture import prefer_texture
 from getagrip.fitting.stages.view_agreement import is_in_the_way, suspect_view
 from getagrip.geometry import se3
@@ -231,10 +232,11 @@ class StableGrasp:
             raise GetagripError("; ".join(map(str, (error, *self.findings)))) from error
 
     def fit_all_frames(self, clock: Clock) -> FrameSolutions:
-        """Extend the solutions to all frames that the options ask for."""
+        """Extend the solutions to all frames that the options ask for; turn the best one as its surface moves."""
         problem, found = self.problem, self.found
-        clip = self.source.clip if problem.options.every_frame else self.clip
-        track = extend_to_every_frame(clip.warped(found.warp), problem, found, self.sampled)
+        clip = (self.source.clip if problem.options.every_frame else self.clip).warped(found.warp)
+        track = extend_to_every_frame(clip, problem, found, self.sampled)
+        track, turned = turn_with_surface(clip, problem, track, float(found.poses.scale[0]))
         clock("every frame")
         self.answer = FrameSolutions(
             track=track,
@@ -246,7 +248,7 @@ class StableGrasp:
             axis=None if found.axis is None or track.angle is None else replace(found.axis, angle=track.angle),
             warp=found.warp,
             T_cam_other_hand=None,
-            notes=problem.notes,
+            notes=(*problem.notes, *turned),
             hand=found.hand,
             cut_off=unconverged_motion(problem, found),
         )

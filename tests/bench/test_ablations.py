@@ -56,7 +56,7 @@ def test_all_methods_but_the_slow_ones_where_none_is_named() -> None:
 
 def test_only_known_evidence_is_left_out() -> None:
     none = ablation_variants("pixels", [], Options())[-1].options
-    assert (none.without, none.interval) == (("texture", "profile", "handle"), "as-given")
+    assert (none.without, none.interval) == (("texture", "profile", "handle", "surface-motion"), "as-given")
     with pytest.raises(UsageError, match="unknown without 'luck'"):
         Options(without=("luck",))  # type: ignore[arg-type]
 

@@ -331,6 +331,7 @@ ABLATIONS: dict[str, Ablation] = {
                     ("texture", {"without": ("texture",)}),
                     ("the free profile", {"without": ("profile",)}),
                     ("handles", {"without": ("handle",)}),
+                    ("surface motion", {"without": ("surface-motion",)}),
                     ("firm ends", {"interval": "as-given"}),
                 )
             ),

@@ -265,8 +265,8 @@ def read_name(folder: str | Path) -> str:
 def input_sha256(folder: str | Path) -> str:
     """Compute the checksum of a reconstruction's inputs: ``clip.json``, hands, mesh, evidence; not truth.
 
-    Images are evidence beside a mesh with colours only (``fitting.evidence.texture``). Raises ``InputError`` for a
-    missing file.
+    Images are evidence beside a mesh with colours, or one that may be a body of revolution, only
+    (``fitting.evidence.texture``). Raises ``InputError`` for a missing file.
     """
     folder = _resolve_clip_folder(folder)
     fields = _read_clip_fields(folder)

@@ -26,7 +26,7 @@ MaskUse = Literal["checked", "as-given"]
 MeshUse = Literal["fitted", "as-given"]
 IntervalUse = Literal["firm", "as-given"]
 Init = Literal["uniform", "clusters", "priors", "poses"]
-BesideMasks = Literal["texture", "profile", "handle"]
+BesideMasks = Literal["texture", "profile", "handle", "surface-motion"]
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ class Options(SearchOptions):
     """Leave out pixels hidden by the hand (the paper's C_o)."""
     without: Annotated[tuple[BesideMasks, ...], Suppress, Fixed] = ()
     """Evidence beside the masks that is left out, for ablations: the mesh's texture, the free profile of a body of
-    revolution, the handle in the fingers."""
+    revolution, the handle in the fingers, the turns of a body of revolution by the motion of its surface."""
     departures: Annotated[Departures, Suppress, Fixed] = NO_DEPARTURE
     """Parts of the method ``paper`` that are replaced by ours; for ablations. Other methods do not use it."""
 

@@ -1,4 +1,4 @@
-"""Images are evidence beside a mesh with colours: the checksum of a clip depends on them there, and nowhere else."""
+"""Images are evidence beside a mesh with colours or of revolution: a clip's checksum depends on them only there."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from getagrip.checks.evidence import TextureVote
 from getagrip.clip import Clip, Segment, input_sha256, read_clip, with_evidence, write_clip
 from getagrip.fitting.evidence.texture import TEXTURE_KEY, Texture, reads_images
 from getagrip.io.images import write_image
-from helpers.clips import small_clip
+from helpers.clips import box, small_clip
 
 
 def checksums(clip: Clip, folder: Path) -> tuple[str, str, str]:
@@ -35,9 +35,11 @@ def test_the_checksum_depends_on_images_where_they_are_evidence(tmp_path: Path) 
     clip, _ = small_clip()
     assert len({*checksums(painted(clip), tmp_path / "painted")}) == 3
     assert len({*checksums(clip, tmp_path / "bare")}) == 1
+    square = replace(clip, mesh=box(0.05, 0.05, 0.11))  # its moments are those of a body of revolution
+    assert len({*checksums(square, tmp_path / "square")}) == 3
     timeline = replace(painted(clip), segments=(Segment("grasp", 0, len(clip) - 1, clip.side),))
     assert len({*checksums(timeline, tmp_path / "timeline")}) == 1
-    for name, evidence in (("painted", True), ("bare", False), ("timeline", False)):
+    for name, evidence in (("painted", True), ("square", True), ("bare", False), ("timeline", False)):
         assert reads_images(tmp_path / name) == evidence
         read = with_evidence(read_clip(tmp_path / name))
         assert (read.evidence[TEXTURE_KEY] is not None) == evidence

@@ -1,4 +1,8 @@
-"""Images of the frames (``frames``) beside a mesh with colours: texture decides among poses (``stages.texture``)."""
+"""Images of the frames (``frames``), of objects whose masks leave something open that colours tell.
+
+Of a mesh with colours texture decides among poses (``stages.texture``); the surface of a body of revolution shows how
+it turns about its axis (``stages.surface_motion``).
+"""
 
 from __future__ import annotations
 
@@ -14,6 +18,8 @@ from getagrip.checks import Check, Evidence
 from getagrip.clip import Clip, Modality
 from getagrip.clip.clip import find_image
 from getagrip.clip.read import read_header
+from getagrip.geometry.mesh import Mesh, face_areas
+from getagrip.geometry.mesh_files import read_mesh
 from getagrip.geometry.mesh_files.colours import has_colours
 from getagrip.io import files
 
@@ -22,6 +28,8 @@ TEXTURE_KEY = "texture"
 MIN_RELATED_CORRELATION, MIN_COLOUR_SPREAD = 0.15, 20.0
 """Correlation below which the images show other colours than the mesh, and standard deviation of a mesh's colours, 0 to
 255, from which on these are looked for. Assumed."""
+MIN_EQUAL_MOMENTS = 0.75
+"""Least ratio of two principal moments of a surface that may be of revolution; an oval can still counts. Assumed."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +51,25 @@ class FrameImages:
 
 
 def reads_images(folder: Path) -> bool:
-    """Return whether a clip's images are evidence: its mesh has colours, and it is one stable grasp.
+    """Return whether a clip's images are evidence: it is one stable grasp, and its mesh has colours or may be revolved.
 
     Raises ``InputError``.
     """
     fields = read_header(folder).fields
-    return not fields.get("segments") and has_colours(files.inside(folder, fields["mesh"], "mesh", "a mesh"))
+    if fields.get("segments"):
+        return False
+    path = files.inside(folder, fields["mesh"], "mesh", "a mesh")
+    return has_colours(path) or may_be_revolved(read_mesh(path))
+
+
+def may_be_revolved(mesh: Mesh) -> bool:
+    """Return whether a mesh may be a body of revolution: two principal moments of its surface are about equal."""
+    corners = mesh.vertices[mesh.faces]
+    middles = 0.5 * (corners + np.roll(corners, 1, axis=1)).reshape(-1, 3)  # of edges: exact for second moments
+    area = np.repeat(face_areas(mesh.vertices, mesh.faces), 3)
+    about = middles - area @ middles / area.sum()
+    moments = np.linalg.eigvalsh((about.T * area) @ about)
+    return bool(np.any(moments[:-1] >= MIN_EQUAL_MOMENTS * moments[1:]))
 
 
 def texture_correlation(it: Evidence) -> float:
@@ -59,7 +80,7 @@ def texture_correlation(it: Evidence) -> float:
 
 
 class Texture(Modality[FrameImages]):
-    """The colours of the images, of a mesh that has its own."""
+    """The colours of the images, of a mesh that has its own or may be a body of revolution."""
 
     name = TEXTURE_KEY
     result_checks = (
@@ -91,7 +112,7 @@ class Texture(Modality[FrameImages]):
         return [name for frame in frames if (name := find_image(folder, frame)) is not None]
 
     def read(self, clip: Clip) -> FrameImages | None:
-        if clip.mesh.colours is None or clip.segments:
+        if clip.segments or (clip.mesh.colours is None and not may_be_revolved(clip.mesh)):
             return None
         paths = tuple(clip.image_file(int(n)) for n in np.arange(len(clip)))
         return FrameImages(paths) if any(paths) else None

@@ -45,9 +45,6 @@ MIN_TURN_RAD = np.radians(45.0)
 """Rotation from the result beyond which a pose that texture prefers contradicts the result."""
 REFIT_LEVEL_PX, REFIT_ITERATIONS, FINAL_LEVEL_PX = 128, 8, 256
 """Resolution [px] and iterations of the fit of the compared poses, and resolution of the chosen one's."""
-REVOLVED_BY_RAD, MAX_REVOLVED_DISTANCE = 1.0, 0.025
-"""Turn about the axis of a body of revolution, and how far it may move the surface at most [diameters]: three of YCB's
-cans 0.007 to 0.020, a bottle 0.037."""
 N_SPINS, FINER_SPINS_RAD = 12, np.radians([15.0, 7.5])
 """Number of angles about that axis, compared in every other frame, and steps from the best to either side."""
 MAX_SPUN_POSES, MAX_SPUN_ENERGY = 3, 1.5
@@ -120,7 +117,7 @@ def prefer_texture(problem: Problem, found: MethodResult) -> MethodResult:
         return _Votes(motion, energy, r, -0.5 * n * np.log1p(-(np.clip(r, 0.0, 0.99) ** 2)))
 
     voted = votes(tried.motion, tried.energy, images)
-    if (axis := _axis_of_revolution(problem)) is not None:
+    if (axis := problem.surface.axis_of_revolution) is not None:
         spun = _spread_poses(voted, axis)
         around = np.linspace(0.0, 2.0 * np.pi, N_SPINS, endpoint=False)[1:]
         spins = np.tile(se3.exp_so3(around[:, None] * axis), (len(spun), 1, 1))
@@ -164,13 +161,6 @@ def _look_alike_turns(problem: Problem, found: MethodResult) -> Float[ndarray, "
     ray = (T_cam_hand[:3, :3] @ found.poses.R[0, middle]).T @ (ray / np.linalg.norm(ray))
     across = np.eye(3) - 2.0 * axes[:, :, None] * axes[:, None, :]
     return np.concatenate([se3.exp_so3(np.pi * axes), (np.eye(3) - 2.0 * np.outer(ray, ray)) @ across])
-
-
-def _axis_of_revolution(problem: Problem) -> Float[ndarray, "3"] | None:
-    """Return the principal axis about which turns hardly move the surface; None without one."""
-    axes = problem.surface.axes
-    moved = problem.surface.moved_by(se3.exp_so3(REVOLVED_BY_RAD * axes))
-    return axes[int(np.argmin(moved))] if moved.min() < MAX_REVOLVED_DISTANCE else None
 
 
 def _spread_poses(voted: _Votes, axis: Float[ndarray, "3"]) -> Int[ndarray, "n"]:
