@@ -242,9 +242,9 @@ class Draft(Command):
         if len(found.frames) == 1:
             (frame,) = found.frames
             raise UsageError(
-                f"the {found.side} hand is found in {stretch.footage.name(frame)} only, of {len(stretch.names)} frames: "
-                "a grasp has two or more; give --interval with frames that show the hand and fingers well, or hands of "
-                "another estimator by --hands"
+                f"the {found.side} hand is found in {stretch.footage.name(frame)} only, of {len(stretch.names)} "
+                "frames: a grasp has two or more; give --interval with frames that show the hand and fingers well, "
+                "or hands of another estimator by --hands"
             )
         with progress_bar() as bar:
             job = bar.add_task("the hand's masks", total=len(found.landmarks))
