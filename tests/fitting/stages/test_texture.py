@@ -70,7 +70,7 @@ def test_a_box_turned_by_half_is_turned_back_in_any_light(tmp_path: Path, gain: 
 
 
 def test_colours_that_are_off_by_some_pixels_turn_a_box_back(tmp_path: Path) -> None:
-    """As those are that a pose with errors of ten degrees shows."""
+    """A pose that errs by ten degrees shifts its picture as much."""
     problem, found = fitted(*textured_clip(0), tmp_path / "clip", 1.0, off=13)
     assert problem.clip.truth is not None
     for start in (found, turned(problem, found)):
