@@ -143,6 +143,23 @@ def test_generated_meshes_may_have_slivers(made: Path) -> None:
     assert "2 faces without area" in fields["provenance"]["mesh"]["text"]
 
 
+def test_a_handle_is_marked_in_the_coordinates_of_the_mesh(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    base = ["--interval", "1", "3", "--side", "left", "--focal", "60", "--mesh", "mug", "--overwrite"]
+    mug = read_own_mesh(MeshOptions(Path("mug"))).mesh
+    low, high = mug.vertices.min(axis=0), mug.vertices.max(axis=0)
+    line = [0.5 * (low + high), 0.25 * low + 0.75 * high]
+    size = str(2e3 * np.ptp(mug.vertices, axis=0).max())
+    words = [",".join(map(str, point.tolist())) for point in line]
+    assert main(new(made, *base, "--size-mm", size, "--handle", *words)) == 3
+    fields = json.loads((made / "cup" / "clip.json").read_text())
+    np.testing.assert_allclose(fields["handle"], 2.0 * np.array(line))
+    assert main(new(made, *base, "--handle", "none")) == 3
+    assert json.loads((made / "cup" / "clip.json").read_text())["handle"] == []
+    for wrong, status, said in (("1,2", 2, "X,Y,Z"), ("a,b,c", 2, "X,Y,Z"), ("9,9,9", 1, "points within the mesh")):
+        assert main(new(made, *base, "--handle", wrong)) == status
+        assert said in capsys.readouterr().err
+
+
 def test_a_kind_of_object_is_a_shape_of_the_package(
     made: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

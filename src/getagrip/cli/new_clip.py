@@ -84,6 +84,30 @@ class MeshOptions:
     all: all of them are."""
     known_scale: Flag = False
     """The mesh, in its unit, has the object's true size. Without this and without rescaling, the size is estimated."""
+    handle: Annotated[
+        tuple[str, ...], arg(metavar="X,Y,Z...|none", help_behavior_hint="(default: as it is found)")
+    ] = ()
+    """The handle: points along its middle line, in order, in the coordinates of the mesh file. none: there is none."""
+
+    @property
+    def handle_line(self) -> Float[ndarray, "P 3"] | None:
+        """Points of the handle's middle line, in the mesh file's coordinates; None if unstated.
+
+        Raises ``UsageError``.
+        """
+        import numpy as np
+
+        if not self.handle:
+            return None
+        try:
+            points = [] if self.handle == ("none",) else [[float(x) for x in point.split(",")] for point in self.handle]
+            line = np.array(points, dtype=float).reshape(len(points), 3)
+        except ValueError:
+            line = np.full((1, 3), np.nan)
+        if not np.isfinite(line).all():
+            got = " ".join(self.handle)
+            raise UsageError(f"--handle must be points X,Y,Z in the coordinates of the mesh, or none (got {got})")
+        return line
 
     @property
     def path(self) -> Path:
@@ -110,6 +134,8 @@ class OwnMesh:
     """True if the mesh has the object's size; False: the size is estimated with the pose."""
     provenance: dict[str, Source]
     """Sources of the mesh and its size."""
+    handle: Float[ndarray, "P 3"] | None = None
+    """Points of the handle's middle line, as stated; None if unstated."""
 
 
 def read_own_mesh(request: MeshOptions) -> OwnMesh:
@@ -117,6 +143,7 @@ def read_own_mesh(request: MeshOptions) -> OwnMesh:
 
     Raises ``InputError`` for a missing file or one without a mesh, ``UsageError`` for options that do not fit.
     """
+    from getagrip.clip.read_arrays import check_handle
     from getagrip.geometry.mesh_files import checked_mesh, drop_degenerate_faces
     from getagrip.provenance import assumed
 
@@ -134,14 +161,18 @@ def read_own_mesh(request: MeshOptions) -> OwnMesh:
     words += words_of_part
     vertices, kept, colours, without = _paint_mesh(request, vertices, kept)
     words += without
-    vertices, scale = _rescale_vertices(vertices, kept, request)
+    factor, scale = _scale_of_mesh(vertices, kept, request)
+    vertices = factor * vertices
     if request.unit is not None:
         words += f", in {request.unit}"
     shape = assumed(words) if guess else replace(shape, text=words)
     provenance = {"mesh": shape} | ({} if scale is None else {"scale": scale})
     sized = request.known_scale or request.size_mm is not None or request.diameter_mm is not None
-    mesh = checked_mesh(request.path, vertices, kept)
-    return OwnMesh(mesh if colours is None else mesh.coloured_like(vertices, colours), sized, provenance)
+    mesh, handle = checked_mesh(request.path, vertices, kept), request.handle_line
+    if handle is not None:
+        handle = factor * handle
+        check_handle(request.path, handle, mesh)
+    return OwnMesh(mesh if colours is None else mesh.coloured_like(vertices, colours), sized, provenance, handle)
 
 
 def _paint_mesh(
@@ -234,10 +265,10 @@ def _select_mesh_part(
     return faces, f", {found}, all taken as the object: a guess; --part takes one", True
 
 
-def _rescale_vertices(
+def _scale_of_mesh(
     vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."], request: MeshOptions
-) -> tuple[Float[ndarray, "..."], Source | None]:
-    """Return vertices at the stated size, with the source of the size; None if the file's size is kept.
+) -> tuple[float, Source | None]:
+    """Return the factor that gives a mesh its stated size [m], with the source of the size; None: the file's.
 
     Points that no face uses do not count for the size.
     """
@@ -258,7 +289,7 @@ def _rescale_vertices(
     extent = float(np.ptp(used, axis=0).max()) if used.ndim == 2 and used.size and np.isfinite(used).all() else 0.0
     plausible = MIN_MESH_EXTENT_M <= known_unit * extent <= MAX_MESH_EXTENT_M or extent == 0
     if not stated and plausible:
-        return known_unit * vertices, None
+        return known_unit, None
     if not stated and request.known_scale:
         got = f"the object {known_unit * extent:.4g} m large"
         otherwise = "if the file is in another unit than the metre, --unit mm, cm or in, or --size-mm or --diameter-mm"
@@ -267,14 +298,14 @@ def _rescale_vertices(
     if not stated:
         factor = FREE_SCALE_SIZE_M / extent
         text = f"the mesh, {extent:.4g} units large, rescaled by {factor:.6g}: its size is a guess"
-        return factor * vertices, assumed(text)
+        return factor, assumed(text)
     option, value = stated[0]
     if not 1e3 * MIN_MESH_EXTENT_M <= value <= 1e3 * MAX_MESH_EXTENT_M:
         allowed = f"{1e3 * MIN_MESH_EXTENT_M:g} to {1e3 * MAX_MESH_EXTENT_M:g} millimetres"
         raise UsageError(f"{option} must be {allowed} (got {value:g})")
     now = (diameter(used) if option == "--diameter-mm" else extent) if extent else 0.0
     factor = value / 1e3 / now if now > 0 else 1.0  # checked_mesh reports the error of the others
-    return vertices * factor, Source(f"the mesh rescaled by {factor:.6g}, to {option} {value:g}")
+    return factor, Source(f"the mesh rescaled by {factor:.6g}, to {option} {value:g}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -395,6 +426,7 @@ class NewClip(Command):
             size=size,
             K=np.tile(K, (len(numbers), 1, 1)),
             mesh=found.mesh,
+            handle=found.handle,
             scale="known" if found.sized else "free",
             hand=_empty_hand_track(len(numbers)),
             provenance={
