@@ -229,7 +229,8 @@ def draw_motion_curves(
         start = starts[k % len(starts)]
         R, c = _motion_about_hinge(start, sizes, statistics, frames, rng)
         values, residual = measure_motion(se3.rigid(R, c), np.zeros(3), start.size, touched, frames / drawn["duration"])
-        off = np.log([values[name] / drawn[name] for name in MOTION_SELECTION_MEASURES])
+        with np.errstate(divide="ignore"):  # a motion that stands still is infinitely far off
+            off = np.log([values[name] / drawn[name] for name in MOTION_SELECTION_MEASURES])
         far = float(np.sqrt(np.mean(np.where(np.isnan(off), MISSING_MEASURE_DEVIATION, off) ** 2)))
         if best is None or far < least:
             best, least = (R, c, residual), far

@@ -27,6 +27,7 @@ from getagrip.fitting.evidence.texture import TEXTURE_KEY, FrameImages, Texture
 from getagrip.fitting.problem import ObjectSurface, Problem
 from getagrip.fitting.stages.remaining_frames import SolutionTrack
 from getagrip.geometry import se3
+from getagrip.geometry.camera import project
 from getagrip.geometry.rasterize import depth_and_face
 from getagrip.io.images import read_image
 from getagrip.provenance import kind_of_hands
@@ -192,17 +193,12 @@ def _turn_between(
     turn = _turns_about(axis, np.stack([T_here[:3, :3], T_there[:3, :3]]))[0]
     R, middle = T_there[:3, :3] @ se3.exp_so3(-turn * axis), se3.transform(T_there, centre[None])[0]
     arm = place @ R.T
-    start = _project(there.K, middle + arm)
+    start = project(there.K, middle + arm) - 0.5  # OpenCV's pixels have their centres at whole coordinates
     last = _track(here.grey, there.grey, first, start, there.mask)
     kept = np.isfinite(last[:, 0])
     if np.count_nonzero(kept) < MIN_TRACKS:
         return None
     return _explain((last - start)[kept], arm[kept], middle, R @ axis, there.K)
-
-
-def _project(K: Float[ndarray, "3 3"], points: Float[ndarray, "n 3"]) -> Float[ndarray, "n 2"]:
-    """Project points of the camera frame to where a pixel's centre has whole coordinates, as OpenCV has it."""
-    return np.asarray(points[:, :2] / points[:, 2:] @ K[:2, :2].T + K[:2, 2] - 0.5)
 
 
 def _track(
