@@ -22,6 +22,7 @@ from getagrip.errors import GetagripError, InputError, UsageError, check_argumen
 from getagrip.fitting.hand.joint_hand_object import restore_object_size, with_hand_size
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.methods.all_frames import refit_hinge
+from getagrip.fitting.motion import Soft
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import (
     Clock,
@@ -232,11 +233,13 @@ class StableGrasp:
             raise GetagripError("; ".join(map(str, (error, *self.findings)))) from error
 
     def fit_all_frames(self, clock: Clock) -> FrameSolutions:
-        """Extend the solutions to all frames that the options ask for; turn the best one as its surface moves."""
+        """Extend the solutions to all frames that the options ask for; turn a soft hinge as its surface moves."""
         problem, found = self.problem, self.found
         clip = (self.source.clip if problem.options.every_frame else self.clip).warped(found.warp)
         track = extend_to_every_frame(clip, problem, found, self.sampled)
-        track, turned = turn_with_surface(clip, problem, track, float(found.poses.scale[0]))
+        turned: tuple[str, ...] = ()
+        if isinstance(found.motion, Soft):  # the motions of other methods do not allow such turns
+            track, turned = turn_with_surface(clip, problem, track, float(found.poses.scale[0]))
         clock("every frame")
         self.answer = FrameSolutions(
             track=track,

@@ -96,3 +96,11 @@ def test_a_can_follows_its_hand_where_images_are_absent_or_left_out(tmp_path: Pa
 def test_plain_surfaces_and_other_shapes_are_not_turned(tmp_path: Path, kind: str, textured: bool) -> None:
     problem, still = spinning(kind, tmp_path / "clip", textured)
     assert turn_with_surface(problem.clip, problem, still, 1.0)[0] is still
+
+
+def test_only_the_soft_hinge_is_turned(tmp_path: Path) -> None:
+    """A baseline without turns in the hand stays without."""
+    clip = spinning("can", tmp_path / "clip")[0].clip
+    for method in ("static", "soft-hinge"):
+        result = getagrip.reconstruct(clip, options=Options(inits=4, method=method, hands="as-given"))
+        assert any("as its surface moves" in note for note in result.notes) == (method == "soft-hinge")

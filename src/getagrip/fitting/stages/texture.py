@@ -44,7 +44,7 @@ MIN_CORRELATION, MIN_GAIN_NATS = 0.3, 10.0
 MIN_COMPARED_PX = 200
 """Minimum number of pixels of a frame that are compared."""
 MAX_SHIFT_PX = 8
-"""Limit of the shift by which a picture meets its image best, to either side [px]: a draft's pose may err by ten
+"""Largest shift of a picture to where it meets its image best, to either side [px]: a draft's pose may err by ten
 degrees. Of 12 drafts of scans 11 face right with it, 9 with 5 px, 6 without (docs/trials.md).
 """
 MIN_TURN_RAD = np.radians(45.0)
