@@ -22,6 +22,7 @@ from getagrip.cli.import_files import NumberedFrames, ViewName, import_many
 from getagrip.clip.match_frames import check_frame_numbers, number_of
 from getagrip.clip.read import ClipHeader, read_header
 from getagrip.clip.read_arrays import OTHER_HAND_FILE, check_in_view, check_intrinsics, frames_with_hand, read_hand
+from getagrip.clip.timeline import opposite_side
 from getagrip.clip.views import find_view
 from getagrip.clip.write import FRAMES_WITHOUT_HAND, missing_hand_provenance, write_hand, write_hand_at
 from getagrip.errors import InputError, UsageError
@@ -259,7 +260,7 @@ class ImportHands(Command):
         target = header.folder / OTHER_HAND_FILE
         refuse_existing(target, self.overwrite)
         own = frames_with_hand(files.inside(header.folder, "hand.npz", "", "the clip's own hand first"), header.frames)
-        side: Side = "left" if header.fields["side"] == "right" else "right"
+        side = opposite_side(header.fields["side"])
         request = replace(self._request(side, header.frames, header.K, header.size), times=header.times)
         hands = read_tracked_hands(self.paths, self.tracker, request)
         check_in_view(self.paths[0], hands.track, header.K[list(hands.found)], header.size)

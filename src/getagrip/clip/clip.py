@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.clip.timeline import Segment, Side, at_frames, check_segments
+from getagrip.clip.timeline import Segment, Side, at_frames, check_segments, opposite_side
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -434,7 +434,7 @@ class Clip(ArrayData):
     @property
     def other_side(self) -> Side:
         """The side opposite to the clip's own hand."""
-        return "left" if self.side == "right" else "right"
+        return opposite_side(self.side)
 
     def with_side(self, side: Side | None) -> Clip | None:
         """Return the clip with the hand of a side as its own; None if that hand is unknown.

@@ -28,6 +28,11 @@ SEGMENT_KEYS = ("state", "first", "last", "side")
 SEGMENT_FORMAT = '{"state": "static", "first": "000001", "last": "000030"}, and "side" of a grasp'
 
 
+def opposite_side(side: Side) -> Side:
+    """Return the side of a person's other hand."""
+    return "left" if side == "right" else "right"
+
+
 @dataclass(frozen=True)
 class Segment:
     """An interval of a clip's frames with one state of the object.

@@ -29,6 +29,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import FINGERS, HandTrack
+from getagrip.clip.timeline import opposite_side
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import vertex_normals
@@ -219,7 +220,7 @@ def mirrored_model(model: HandModel) -> HandModel:
     """Return the hand model of the other side, without ``pose_directions``."""
     return replace(
         model,
-        side="left" if model.side == "right" else "right",
+        side=opposite_side(model.side),
         template=mirrored(model.template),
         faces=model.faces[:, ::-1].copy(),
         joints=mirrored(model.joints),

@@ -27,7 +27,7 @@ INPUT_MISTAKES: dict[str, Mistake] = {
     # Files that count frames from different numbers; by 2 frames, where one counts from 0.
     "masks late": lambda clip, masks, _: (clip, _delay_masks(masks, len(clip) // 3)),
     "masks 2 frames late": lambda clip, masks, _: (clip, _delay_masks(masks, 2)),
-    "side flipped": lambda clip, masks, _: (replace(clip, side="right" if clip.side == "left" else "left"), masks),
+    "side flipped": lambda clip, masks, _: (replace(clip, side=clip.other_side), masks),
     "hands 24 cm away": lambda clip, masks, _: (_move_hand_along_rays(clip, shift=np.array([0.0, 0.0, 0.24])), masks),
     "hand at 10 m": lambda clip, masks, _: (_move_hand_along_rays(clip, 10.0 / clip.hand.T_cam_hand[:, 2:3, 3]), masks),
     "hand too large": lambda clip, masks, _: (_with_large_hand(clip), masks),

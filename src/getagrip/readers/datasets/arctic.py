@@ -29,7 +29,7 @@ from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip import HandTrack, Joint, World
-from getagrip.clip.timeline import SIDES
+from getagrip.clip.timeline import SIDES, opposite_side
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -171,7 +171,7 @@ def _read_sequence(
             joint=template.joint,
             articulation=poses[:, 0],
             origin=offset,
-            other_hand=hands["left" if side == "right" else "right"],
+            other_hand=hands[opposite_side(side)],
             world=World(se3.inverse(camera.T_cam_world)),
             provenance={
                 "source": f"ARCTIC, {subject}/{sequence}, view {view}",

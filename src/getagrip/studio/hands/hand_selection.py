@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
+from getagrip.clip.timeline import opposite_side
 from getagrip.errors import UsageError
 from getagrip.io.terminal import format_count, format_ranges
 from getagrip.provenance import Source, assumed, estimated, measured
@@ -118,10 +119,6 @@ class Handedness(NamedTuple):
 def guessed_side(side: Side, reason: str) -> Source:
     """Return the source of an assumed side, with the reason."""
     return assumed(f"{side}, a guess, since {reason}; --side {opposite_side(side)} overrules this")
-
-
-def opposite_side(side: Side) -> Side:
-    return "left" if side == "right" else "right"
 
 
 UNKNOWN_HANDEDNESS = Handedness(())

@@ -21,6 +21,7 @@ from numpy import ndarray
 
 from getagrip.clip import HandTrack
 from getagrip.clip.read_arrays import read_hand
+from getagrip.clip.timeline import opposite_side
 from getagrip.clip.write import write_hand
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
@@ -160,7 +161,7 @@ def relift_other_side(
     """
     if not (decides_side(*off) and off[0] < 0.0):
         return None
-    other: Side = "left" if side == "right" else "right"
+    other = opposite_side(side)
     try:
         lifted, rows = relift_hand(hand, frames, K, other, maps, True, depth)
     except UsageError:  # no hand of the other side fits the landmarks
