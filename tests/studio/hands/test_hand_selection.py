@@ -325,6 +325,13 @@ def test_long_gaps_stay_gaps_and_two_people_are_said() -> None:
     assert "; another --object-box or --side overrules this" in boxed, "the one that was stated does not"
 
 
+@pytest.mark.parametrize(("size", "kept"), [(0.25, False), (0.7, True), (4.0, False)])
+def test_a_hand_after_a_gap_is_the_same_one_where_it_is_about_as_large(size: float, kept: bool) -> None:
+    later = Sighting(size * FLAT + np.array([700.0, 200.0]), WORLD, 0.95, 0.1)
+    seen = [[hand(300.0)] if n < 12 else [later] if n >= 30 else [] for n in range(40)]
+    assert select_hand(seen).rows == (*range(12), *(range(30, 40) if kept else ()))
+
+
 def test_no_hand_says_what_was_tried() -> None:
     with pytest.raises(UsageError, match="no hand: palms were looked for in 5 frames"):
         select_hand([[] for _ in range(5)])

@@ -238,6 +238,11 @@ class HandTracklet:
         frames = [n for n, a, b in both if a.apart(b) and 1.0 / most < a.size / b.size < most]
         return frames if len(frames) >= max(MIN_TRACK_FRAMES, 0.5 * min(len(self.seen), len(other.seen))) else []
 
+    def as_large_as(self, hand: Mapping[int, Sighting]) -> bool:
+        """Return whether each end is about as large as the nearest of a hand's sightings."""
+        ends = [(self.seen[n], hand[min(hand, key=lambda m: abs(m - n))]) for n in (min(self.seen), self.last)]
+        return all(1.0 / MAX_HAND_SIZE_RATIO < mine.size / near.size < MAX_HAND_SIZE_RATIO for mine, near in ends)
+
     def part_of(self, other: HandTracklet) -> bool:
         """Return whether this is a finger or knuckle of another hand that the networks mistake for a hand."""
         both = [(self.seen[n], other.seen[n]) for n in self.seen.keys() & other.seen.keys()]
@@ -431,13 +436,16 @@ def _handedness_frames(track: HandTracklet) -> list[int]:
 def _fill_gaps_from_tracks(
     first: HandTracklet, found: Sequence[HandTracklet]
 ) -> tuple[dict[int, Sighting], list[HandTracklet]]:
-    """Add tracks of a track's side that fill its gaps, the longest first; also return those that overlap it."""
+    """Add tracks of a track's side that fill its gaps, the longest first; also return those that overlap it.
+
+    Tracks much larger or smaller than the hand's nearest sightings are of another person, and are left out.
+    """
     hand, beside = dict(first.seen), []
     same_side = [track for track in found if track is not first and track.side == first.side]
     for track in sorted(same_side, key=attrgetter("confidence"), reverse=True):
         if any(n in hand for n in track.seen):
             beside.append(track)
-        else:
+        elif track.as_large_as(hand):
             hand |= track.seen
     return dict(sorted(hand.items())), beside
 
