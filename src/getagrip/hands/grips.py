@@ -168,5 +168,9 @@ CATEGORY_PRIORS: dict[str, CategoryPrior] = {
     "watering_can": CategoryPrior(
         (Grip("palm", (0.14, 0, 0.105), (-1, 0, -0.3), (-0.3, 0, 1)),), opens_up=True, revolved=True
     ),
+    "hammer": CategoryPrior((Grip("palm", (0, 0, -0.1), (0, 1, 0), (0, 0, 1)),)),
+    "knife": CategoryPrior((Grip("palm", (-0.09, 0, 0), (0, 0.3, -1), (1, 0, 0)),)),
+    "remote": CategoryPrior((Grip("palm", (0, -0.03, 0), (0, 0, 1), (0, 1, 0)),), bend=0.01),
+    "screwdriver": CategoryPrior((Grip("palm", (0, 0, -0.06), (1, 0, 0), (0, 0, 1)),)),
 }
 """Priors of the nine categories of EPIC-Grasps, ARCTIC's categories, and others."""

@@ -65,9 +65,13 @@ SHAPE_MAKERS: dict[str, Callable[[], Mesh]] = {
     "jug": objects.jug,
     "spray_bottle": objects.spray_bottle,
     "watering_can": objects.watering_can,
+    "hammer": objects.hammer,
+    "knife": objects.knife,
+    "remote": objects.remote,
+    "screwdriver": objects.screwdriver,
 }
-"""All built-in shapes: the categories, three more with a usual grasp (``hands.grips``), four without, and four with one
-that have a lever, a lid or a spout."""
+"""All built-in shapes: the categories, three more with a usual grasp (``hands.grips``), four without, and eight with
+one: vessels with a lever, a lid or a spout, and tools."""
 
 
 def clips_of_split(name: Split, preset: str = "clean") -> list[tuple[str, int, SceneOptions]]:

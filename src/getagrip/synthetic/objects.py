@@ -384,6 +384,11 @@ def phone(size: tuple[float, float, float] = (0.074, 0.15, 0.0095)) -> Mesh:
     return slab(size, 9.0, 0.002, 48, 2)
 
 
+def remote(size: tuple[float, float, float] = (0.046, 0.17, 0.02)) -> Mesh:
+    """Make a remote control, keys up."""
+    return slab(size, 6.0, 0.003, 40, 3)
+
+
 def book(size: tuple[float, float, float] = (0.13, 0.19, 0.02)) -> Mesh:
     """Make a closed book."""
     return slab(size, 14.0, 0.0015, 48, 2)
@@ -407,6 +412,32 @@ def spoon(length: float = 0.19, width: float = 0.046) -> Mesh:
     y = half[:, None] * np.cos(phi)
     z = bend[:, None] + hollow[:, None] * np.cos(phi) ** 2 + 0.0014 * np.sin(phi)
     return loft(np.stack([np.broadcast_to(x[:, None], y.shape), y, z], axis=-1))
+
+
+def knife(length: float = 0.3, depth: float = 0.042) -> Mesh:
+    """Make a kitchen knife, its blade at +x, the edge down."""
+    s = np.linspace(0.0, 1.0, 24)
+    low = depth * np.interp(s, [0.0, 0.05, 0.36, 0.4, 0.7, 0.9, 1.0], [-0.3, -0.5, -0.4, -0.9, -0.8, -0.4, 0.0])
+    high = depth * np.interp(s, [0.0, 0.05, 0.4, 0.8, 1.0], [0.0, 0.12, 0.1, 0.1, 0.03])
+    thick = np.interp(s, [0.0, 0.05, 0.38, 0.4, 1.0], [0.006, 0.01, 0.009, 0.0015, 0.001])
+    path = np.stack([length * (s - 0.5), np.zeros(24), (low + high) / 2.0], axis=-1)
+    return loft(Tube(path, _Y, thick, (high - low) / 2.0, capped=True).sections(16))
+
+
+def screwdriver(radius: float = 0.016, length: float = 0.22) -> Mesh:
+    """Make a screwdriver, its tip up."""
+    corners = "0.4 0, 0.85 0.01, 1 0.08, 0.85 0.25, 1 0.4, 0.6 0.45, 0.2 0.46, 0.2 0.8, 0.2 0.98, 0.1 1"
+    return loft(revolve_profile(parse_profile(corners, radius, length, up=-length / 2), 20, 0.009))
+
+
+def hammer(length: float = 0.3, width: float = 0.12) -> Mesh:
+    """Make a hammer, its head up, the face at +x and the peen at -x."""
+    grip = "0.4 0, 0.9 0.01, 1 0.1, 0.8 0.35, 0.6 0.5, 0.6 0.93, 0.3 0.95"
+    profile = parse_profile(grip, 0.017, length, up=-length / 2)
+    x, half = np.array([-0.55, -0.5, -0.2, 0.15, 0.2, 0.45, 0.47]), np.array([0.15, 0.25, 0.8, 0.8, 0.9, 0.9, 0.5])
+    path = np.stack([width * x, np.zeros(7), np.full(7, 0.42 * length)], axis=-1)
+    head = loft(Tube(path, _Y, 0.016 * np.maximum(half, 0.6), 0.016 * half, capped=True).sections(16))
+    return merge_closed_meshes([loft(revolve_profile(profile, 18, 0.018)), head])
 
 
 def scissors(length: float = 0.19, spread: float = 0.30) -> Mesh:
