@@ -332,6 +332,14 @@ def test_a_hand_after_a_gap_is_the_same_one_where_it_is_about_as_large(size: flo
     assert select_hand(seen).rows == (*range(12), *(range(30, 40) if kept else ()))
 
 
+def test_a_small_hand_far_away_does_not_follow_a_blurred_one() -> None:
+    def sized(size: float) -> list[Sighting]:
+        return [Sighting(size * FLAT + np.array([300.0, 500.0]), WORLD, 0.95, 0.1)]
+
+    seen = [sized(1.0) if n < 11 else sized(0.6) if n == 11 else sized(0.3) if n >= 18 else [] for n in range(24)]
+    assert set(select_hand(seen).rows) <= set(range(12))
+
+
 def test_no_hand_says_what_was_tried() -> None:
     with pytest.raises(UsageError, match="no hand: palms were looked for in 5 frames"):
         select_hand([[] for _ in range(5)])

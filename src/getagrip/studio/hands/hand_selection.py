@@ -56,8 +56,9 @@ MAX_LINK_GAP_FRAMES = 10
 """Longest gap over which a hand is linked, and later interpolated [frames]."""
 MAX_PALM_STEP = 1.0
 """Largest motion of a palm between consecutive sightings, in palm sizes per frame."""
-MAX_HAND_SIZE_RATIO = 2.5
-"""Largest factor of a hand's size between consecutive sightings; 2.25 in the blur of the kitchen clip."""
+MAX_HAND_SIZE_RATIO, N_SIZE_SIGHTINGS = 2.5, 5
+"""Largest factor of a hand's size from the median of its last sightings, and their number; 2.25 from one sighting to
+the next in the blur of the kitchen clip."""
 MIN_TRACK_FRAMES = 4
 """Minimum number of frames of a track; half the frames of a clip of fewer than eight."""
 N_HANDEDNESS_FRAMES = 20
@@ -200,6 +201,11 @@ class HandTracklet:
         return max(self.seen)
 
     @property
+    def last_size(self) -> float:
+        """Median size of the last sightings [px]: by a single one, another person's small hand might follow a blur."""
+        return float(np.median([each.size for each in [*self.seen.values()][-N_SIZE_SIGHTINGS:]]))
+
+    @property
     def side(self) -> Side:
         return self.paired or self.handedness.side
 
@@ -240,8 +246,12 @@ class HandTracklet:
 
     def as_large_as(self, hand: Mapping[int, Sighting]) -> bool:
         """Return whether each end is about as large as the nearest of a hand's sightings."""
-        ends = [(self.seen[n], hand[min(hand, key=lambda m: abs(m - n))]) for n in (min(self.seen), self.last)]
-        return all(1.0 / MAX_HAND_SIZE_RATIO < mine.size / near.size < MAX_HAND_SIZE_RATIO for mine, near in ends)
+        for n in (min(self.seen), self.last):
+            near = sorted(hand, key=lambda m: abs(m - n))[:N_SIZE_SIGHTINGS]
+            ratio = self.seen[n].size / float(np.median([hand[m].size for m in near]))
+            if not 1.0 / MAX_HAND_SIZE_RATIO < ratio < MAX_HAND_SIZE_RATIO:
+                return False
+        return True
 
     def part_of(self, other: HandTracklet) -> bool:
         """Return whether this is a finger or knuckle of another hand that the networks mistake for a hand."""
@@ -294,7 +304,7 @@ def link_tracks(seen: Sequence[Sequence[Sighting]]) -> list[HandTracklet]:
         used: set[int] = set()
         taken: set[int] = set()
         for apart, k, i in pairs:
-            before = open_ones[k].seen[open_ones[k].last].size
+            before = open_ones[k].last_size
             alike = 1.0 / MAX_HAND_SIZE_RATIO < hands[i].size / before < MAX_HAND_SIZE_RATIO
             if apart < MAX_PALM_STEP and alike and k not in used and i not in taken:
                 open_ones[k].seen[n] = hands[i]
