@@ -87,7 +87,7 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
     scene: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     no_hand = np.zeros((HEIGHT, WIDTH), bool)  # the scene shows none
-    monkeypatch.setattr("getagrip.studio.hands.detect_hands.hand_mask", lambda *_: no_hand)
+    monkeypatch.setattr("getagrip.studio.hands.detect_hands.hand_mask", lambda *_, **__: no_hand)
     x, y = (middle(1) - RADIUS - 3.0).tolist()
     box = ("--object-box", f"{x},{y},{2 * RADIUS + 6},{2 * RADIUS + 6}", "--interval", "2", "8")
     for n in range(8):

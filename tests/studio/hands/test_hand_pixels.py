@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from getagrip.studio.hands import hand_mask
-from getagrip.studio.hands.hand_pixels import LANDMARK_BONES
+from getagrip.studio.hands.hand_pixels import LANDMARK_BONES, skin_colour
 from helpers.labelled_scene import POINTS
 
 SHAPE = (480, 640)
@@ -132,3 +132,32 @@ def test_a_palm_seen_from_its_side_is_thick() -> None:
     found = hand_mask(image, hand)
     assert (found & (palm > 0)).sum() > 0.95 * (palm > 0).sum()
     assert not (found & ~cv2.dilate(palm, np.ones((9, 9), np.uint8)).astype(bool))[170:].any()
+
+
+def test_a_red_cup_before_palm_and_thumb_is_not_the_hand_where_other_frames_show_the_skin() -> None:
+    image, truth = drawn()
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]] + 0.5
+    low, high = (
+        HAND[[0, 1, 2, 3, 4, 5, 9, 13, 17]].min(axis=0) - 12.0,
+        HAND[[0, 1, 2, 3, 4, 5, 9, 13, 17]].max(axis=0) + 12.0,
+    )
+    cup = (u > low[0]) & (u < high[0]) & (v > low[1]) & (v < high[1])
+    held = image.copy()
+    held[cup] = np.array([210, 25, 40], np.uint8)
+    frames = {0: held, 1: image, 2: image}
+    skin = skin_colour(frames.__getitem__, dict.fromkeys(frames, HAND))
+    assert skin is not None
+    assert iou(hand_mask(held, HAND), truth & ~cup) < 0.2, "the frame alone shows the cup's colour"
+    assert iou(hand_mask(held, HAND, skin=skin), truth & ~cup) > 0.7
+    assert iou(hand_mask(image, HAND, skin=skin), truth) > 0.9
+
+
+def test_grey_or_blue_parts_are_not_the_skin() -> None:
+    image, _ = drawn()
+    blue = np.full_like(image, [60, 80, 200])
+    assert skin_colour({0: blue}.__getitem__, {0: HAND}) is None
+    frames = {0: blue, 1: blue, 2: image}
+    np.testing.assert_allclose(
+        skin_colour(frames.__getitem__, dict.fromkeys(frames, HAND)), skin_colour({0: image}.__getitem__, {0: HAND})
+    )
+    assert skin_colour(frames.__getitem__, {}) is None

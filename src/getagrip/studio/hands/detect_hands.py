@@ -29,7 +29,7 @@ from getagrip.io import arrays, files
 from getagrip.io.images import decode_image, write_mask
 from getagrip.provenance import Provenance, Source, assumed, estimated, provenance_to_arrays
 from getagrip.readers.footage import MAX_FOOTAGE_SIDE_PX, Footage
-from getagrip.studio.hands.hand_pixels import hand_mask
+from getagrip.studio.hands.hand_pixels import hand_mask, skin_colour
 from getagrip.studio.hands.hand_selection import HandLandmarks, Side, select_hand, unbiased_log_odds
 from getagrip.studio.hands.hand_tracking import Sighting, track_hands
 from getagrip.studio.hands.networks import Nets, crop_of_box
@@ -267,7 +267,8 @@ def write_detected_hands(
         extra |= {} if found.depth is None else {JOINTS_DEPTH_KEY: found.depth}
         write_hand(found.hand, new / "hand.npz", extra | provenance_to_arrays(found.provenance))
         (new / "masks").mkdir()
+        skin = skin_colour(image, found.landmarks)
         for count, (n, points) in enumerate(found.landmarks.items(), start=1):
-            write_mask(new / "masks" / f"{n + 1:06d}.png", hand_mask(image(n), points))
+            write_mask(new / "masks" / f"{n + 1:06d}.png", hand_mask(image(n), points, skin=skin))
             done(count)
     return folder
