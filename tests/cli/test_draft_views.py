@@ -115,7 +115,9 @@ def test_a_view_of_other_frames_is_left_out(tmp_path: Path) -> None:
 def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("getagrip.studio.hands.load_models", lambda _: SceneNets())
-    monkeypatch.setattr("getagrip.studio.hands.detect_hands.hand_mask", lambda *_, **__: np.zeros((HEIGHT, WIDTH), bool))
+    monkeypatch.setattr(
+        "getagrip.studio.hands.detect_hands.hand_mask", lambda *_, **__: np.zeros((HEIGHT, WIDTH), bool)
+    )
     write_scene(tmp_path / "scene.mp4", 6)
     write_scene(tmp_path / "right.mp4", 6)
     of = {"K": K.tolist(), "size": [WIDTH, HEIGHT]}
