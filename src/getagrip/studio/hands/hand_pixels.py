@@ -99,11 +99,12 @@ def hand_mask(
 def skin_colour(
     image: Callable[[int], UInt8[ndarray, "H W 3"]], points: Mapping[int, Float[ndarray, "21 2"]]
 ) -> Float[ndarray, "2"] | None:
-    """Find a clip's skin colour, Lab's two, from a hand's landmarks by frame [px]; None without visible parts."""
+    """Find a clip's skin colour, Lab's two from grey, by a hand's landmarks in its frames [px].
+
+    None where no part is visible, or where all are grey, green or blue: in gloves, or without colours.
+    """
     frames = sorted(points)
-    some = (
-        {frames[i] for i in np.linspace(0, len(frames) - 1, MAX_SKIN_FRAMES).round().astype(int)} if frames else set()
-    )
+    some = {frames[k * (len(frames) - 1) // (MAX_SKIN_FRAMES - 1)] for k in range(MAX_SKIN_FRAMES) if frames}
     parts = [_part_colours(_Nearby.of(image(n), points[n])) for n in sorted(some)]
     colours = np.concatenate([np.zeros((0, 2)), *parts])
     hue, chroma = np.degrees(np.arctan2(colours[:, 1], colours[:, 0])), np.linalg.norm(colours, axis=1)
