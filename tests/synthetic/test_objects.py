@@ -16,14 +16,9 @@ from getagrip.synthetic.categories import SHAPE_MAKERS
 from getagrip.synthetic.objects import Tube, loft, merge_closed_meshes, torus
 
 PARTS = {
-    "scissors": 4,
-    "capsule_machine": 4,
-    "espresso_machine": 4,
-    "microwave": 2,
-    "mixer": 3,
-    "spray_bottle": 3,
+    "scissors": 4, "capsule_machine": 4, "espresso_machine": 4, "microwave": 2, "mixer": 3, "spray_bottle": 3,
     "hammer": 2,
-}
+}  # fmt: skip
 """How many closed parts, where it is not one."""
 HANDLES = {
     "mug": 1, "cup": 1, "kettle": 1, "mixer": 1, "pitcher": 1, "scissors": 2, "tape": 1,

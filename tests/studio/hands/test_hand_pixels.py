@@ -137,10 +137,8 @@ def test_a_palm_seen_from_its_side_is_thick() -> None:
 def test_a_red_cup_before_palm_and_thumb_is_not_the_hand_where_other_frames_show_the_skin() -> None:
     image, truth = drawn()
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]] + 0.5
-    low, high = (
-        HAND[[0, 1, 2, 3, 4, 5, 9, 13, 17]].min(axis=0) - 12.0,
-        HAND[[0, 1, 2, 3, 4, 5, 9, 13, 17]].max(axis=0) + 12.0,
-    )
+    hidden = HAND[[0, 1, 2, 3, 4, 5, 9, 13, 17]]
+    low, high = hidden.min(axis=0) - 12.0, hidden.max(axis=0) + 12.0
     cup = (u > low[0]) & (u < high[0]) & (v > low[1]) & (v < high[1])
     held = image.copy()
     held[cup] = np.array([210, 25, 40], np.uint8)
